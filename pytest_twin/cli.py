@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(problem, file=sys.stderr)
         return UNUSABLE_INPUT
     words = list(sys.argv[1:] if arguments is None else arguments)
-    args = _parsed(words)
+    args = _parse(words)
     try:
         with json_output.text_stream(args):
             status: int = args.run(args)
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
-def _parsed(words: list[str]) -> argparse.Namespace:
+def _parse(words: list[str]) -> argparse.Namespace:
     first = words[0] if words else ""
     if first and not first.startswith("-") and first not in COMMANDS:
         Parser(prog=_PROGRAM).error(

@@ -22,19 +22,19 @@ def canonical(content: object) -> bytes:
         ValueError: ``content`` holds a number that is not finite.
     """
     return json.dumps(
-        _rounded(content), sort_keys=True, separators=(",", ":"), allow_nan=False
+        _round(content), sort_keys=True, separators=(",", ":"), allow_nan=False
     ).encode()
 
 
-def _rounded(content: object) -> object:
+def _round(content: object) -> object:
     if isinstance(content, float):
         # 12 digits: reformatted or recomputed numbers give the same bytes, and a relative change
         # of 1e-12 moves no result beyond a tolerance.
         return float(f"{content:.12g}") + 0.0
     if isinstance(content, Mapping):
-        return {str(key): _rounded(value) for key, value in content.items()}
+        return {str(key): _round(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
-        return [_rounded(value) for value in content]
+        return [_round(value) for value in content]
     return content
 
 

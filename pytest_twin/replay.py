@@ -43,7 +43,7 @@ from pytest_twin.realization.first_state import (
     settle_under_load,
 )
 from pytest_twin.realization.inputs import command_input
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.trial import Trial
 from pytest_twin.trial.setpoint import Setpoint
 from pytest_twin.twin import JointCalibration
@@ -177,7 +177,7 @@ def replay_rows(
         if progress is not None:
             progress(min(1.0, done / total))
 
-    with quiet():
+    with suppress_mujoco_warnings():
         for group in _batches(runs):
             _step(group, threads, advance)
     return [run.result() for run in runs]

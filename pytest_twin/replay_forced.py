@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.replay import Replayed, Row, Run
 
 Force = Callable[[float, FloatArray, FloatArray], FloatArray]
@@ -44,7 +44,7 @@ def replay_forced(
     effort = np.empty((count, model.nv))
     kicked_at = -1 if kick is None else round(kick[0] / run.timestep)
     added = np.zeros(model.nv)
-    with quiet():
+    with suppress_mujoco_warnings():
         for step in range(count):
             if kick is not None and step == kicked_at:
                 data.qvel[run.dof_index] += kick[1]

@@ -465,8 +465,8 @@ def changes(before: Part, after: Part) -> list[Reason]:
             Reason(
                 before.id,
                 title,
-                _shown(was) if name in old else "absent",
-                _shown(now) + unit if name in new else "absent",
+                _format(was) if name in old else "absent",
+                _format(now) + unit if name in new else "absent",
             )
         )
     if not found and before.digest != after.digest:
@@ -499,7 +499,7 @@ def _element_name(value: Any, index: int) -> str:
     return named if isinstance(named, str) else str(index)
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "none"}[value]
     if isinstance(value, int | float):
@@ -507,7 +507,7 @@ def _shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return (
             "["
-            + ", ".join(_shown(item) for item in value[:10])
+            + ", ".join(_format(item) for item in value[:10])
             + (", ...]" if len(value) > 10 else "]")
         )
     text = str(value)

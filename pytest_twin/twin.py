@@ -497,7 +497,7 @@ class _Reader:
         release = data.get("release", {})
         entries = self._calibrations()
         fit, fits = self._fits()
-        calibrated = _updated_calibration(self._calibration(), entries, self.path)
+        calibrated = _update_calibration(self._calibration(), entries, self.path)
         return Twin(
             path=self.path,
             name=data.get("name") or self.path.parent.name or "twin",
@@ -677,7 +677,7 @@ class _Reader:
             for other in found:
                 # An external measurement of joint zeros may refine the home position of an encoder.
                 refined = {_zero_of(j) for j in other.record.homes if j not in record.homes}
-                twice = (_used_estimates(other) & _used_estimates(entry)) - refined
+                twice = (_estimates_in_use(other) & _estimates_in_use(entry)) - refined
                 if twice and other.record.id not in superseded:
                     raise self.section.error(
                         where,
@@ -762,7 +762,7 @@ class _Reader:
             superseded.update(one.get("supersedes", ()))
             tables[found.id] = found
         in_use = [one for name, one in tables.items() if name not in superseded]
-        return _merged(in_use, self.path), tuple(entries)
+        return _merge_fits(in_use, self.path), tuple(entries)
 
     def _fit_entry(self, data: Mapping[str, Any], where: str) -> FitEntry:
         record = read_identification_record(self._file(data["file"], f"{where}.file"))
@@ -874,7 +874,7 @@ def _fit(section: _Section) -> Fit:
     )
 
 
-def _merged(fits: list[Fit], path: Path) -> Fit | None:
+def _merge_fits(fits: list[Fit], path: Path) -> Fit | None:
     """Merge fits, attribute by attribute; a later fit overrides an earlier one."""
     if len(fits) < 2:
         return fits[0] if fits else None
@@ -888,7 +888,7 @@ def _merged(fits: list[Fit], path: Path) -> Fit | None:
     return Fit("+".join(fit.id for fit in fits), patches, option, path)
 
 
-def _used_estimates(entry: CalibrationEntry) -> set[str]:
+def _estimates_in_use(entry: CalibrationEntry) -> set[str]:
     """Estimates that a twin uses of a record: ``zero of JOINT`` and ``base_world``."""
     found = set()
     if "joint_zeros" in entry.use:
@@ -902,13 +902,13 @@ def _zero_of(joint: str) -> str:
     return f"zero of {joint}"
 
 
-def _updated_calibration(
+def _update_calibration(
     stated: Calibration | None, entries: tuple[CalibrationEntry, ...], path: Path
 ) -> Calibration | None:
     """The calibration in use: the stated one, updated by the records that are not superseded."""
     superseded = {name for entry in entries for name in entry.supersedes}
     in_use = [
-        entry for entry in entries if entry.record.id not in superseded and _used_estimates(entry)
+        entry for entry in entries if entry.record.id not in superseded and _estimates_in_use(entry)
     ]
     if not in_use:
         return stated

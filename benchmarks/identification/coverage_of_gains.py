@@ -19,7 +19,7 @@ from coverage_of_intervals import JOINTS, MODEL, EncoderErrors, covered, record
 from drawn_arms import nominal_parameters, true_parameters
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured_recordings import MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredRecordings
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS
@@ -53,7 +53,7 @@ def identified(seed: int, folder: Path) -> tuple[EffortResult, np.ndarray, np.nd
             )
         )
     nominal = load(folder / "nominal.xml", twin=twin)
-    result = identify_effort(nominal, MeasuredSet(tuple(runs[:2]), (runs[2],)), NO_SIGNALS)
+    result = identify_effort(nominal, MeasuredRecordings(tuple(runs[:2]), (runs[2],)), NO_SIGNALS)
     return result, result.base.values(Regressor(real, JOINTS).prior), gains
 
 

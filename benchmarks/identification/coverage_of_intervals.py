@@ -23,7 +23,7 @@ from scipy import signal
 
 from pytest_twin.identification.effort.encoders import BIAS
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization, load
 from pytest_twin.signals import NO_SIGNALS
@@ -82,14 +82,14 @@ def effort_noise(shape: tuple[int, ...], rate: float, random: np.random.Generato
 
 def record(
     robot: Realization, path: Path, random: np.random.Generator, encoders: EncoderErrors
-) -> Measured:
+) -> MeasuredRecording:
     """One random Fourier series with noise."""
     time = np.arange(round(SECONDS * RATE)) / RATE
     q, v, a = fourier(random, time, 3, 6, 0.125, (0.1, 0.5))
     effort = needed_effort(robot.model, q, v, a)
     effort += 0.03 * effort.std(axis=0) * effort_noise(effort.shape, RATE, random)
     q = encoders.readings(q, random)
-    return Measured(path, 0.0, JOINTS, time, q, None, effort, np.zeros(3, dtype=bool),
+    return MeasuredRecording(path, 0.0, JOINTS, time, q, None, effort, np.zeros(3, dtype=bool),
                     np.full(3, np.inf), {})  # fmt: skip
 
 
@@ -103,7 +103,7 @@ def identified(seed: int, folder: Path, encoders: EncoderErrors) -> tuple[Effort
         record(real, folder / f"{name}.csv", random, encoders) for name in ("one", "two", "check")
     ]
     result = identify_effort(
-        load(folder / "nominal.xml"), MeasuredSet(tuple(runs[:2]), (runs[2],)), NO_SIGNALS
+        load(folder / "nominal.xml"), MeasuredRecordings(tuple(runs[:2]), (runs[2],)), NO_SIGNALS
     )
     return result, result.base.values(Regressor(real, JOINTS).prior)
 

@@ -19,7 +19,7 @@ import numpy as np
 from coverage_of_intervals import JOINTS, MODEL
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization, load
 from pytest_twin.signals import NO_SIGNALS
@@ -35,7 +35,9 @@ STIFFNESS, DAMPING = np.array([1500.0, 600.0, 150.0]), np.array([120.0, 50.0, 12
 SECONDS = 20.0
 
 
-def driven(robot: Realization, path: Path, random: np.random.Generator, noise: float) -> Measured:
+def driven(
+    robot: Realization, path: Path, random: np.random.Generator, noise: float
+) -> MeasuredRecording:
     """One recording of servos that follow a random Fourier series; ``noise`` in rad."""
     time = np.arange(round(SECONDS / TICK)) * TICK
     command, speed, _ = fourier(random, time, len(JOINTS), 5, 0.1, (0.1, 0.5))
@@ -43,8 +45,10 @@ def driven(robot: Realization, path: Path, random: np.random.Generator, noise: f
         robot.model, random, command, speed, (STIFFNESS, DAMPING), noise, TICK
     )
     count = len(JOINTS)
-    return Measured(path, 0.0, JOINTS, time, seen, None, effort, np.zeros(count, dtype=bool),
-                    np.full(count, np.inf), {}, command=command)  # fmt: skip
+    return MeasuredRecording(
+        path, 0.0, JOINTS, time, seen, None, effort, np.zeros(count, dtype=bool),
+        np.full(count, np.inf), {}, command=command,
+    )  # fmt: skip
 
 
 def identified(seed: int, folder: Path, noise: float) -> tuple[EffortResult, np.ndarray]:
@@ -56,7 +60,7 @@ def identified(seed: int, folder: Path, noise: float) -> tuple[EffortResult, np.
     true = Regressor(real, JOINTS).prior
     runs = [driven(real, folder / f"{n}.csv", random, noise) for n in ("one", "two", "check")]
     nominal = load(folder / "nominal.xml")
-    result = identify_effort(nominal, MeasuredSet(tuple(runs[:2]), (runs[2],)), NO_SIGNALS)
+    result = identify_effort(nominal, MeasuredRecordings(tuple(runs[:2]), (runs[2],)), NO_SIGNALS)
     return result, result.base.values(true)
 
 

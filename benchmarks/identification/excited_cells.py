@@ -26,7 +26,7 @@ from scipy.stats import norm
 
 from pytest_twin import cli
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
@@ -124,7 +124,7 @@ def identified(
             folder / file.name, nominal, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS
         )
         (held_out if "held_out" in file.stem else fit).extend(measured)
-    result = identify_effort(nominal, MeasuredSet(tuple(fit), tuple(held_out)), NO_SIGNALS)
+    result = identify_effort(nominal, MeasuredRecordings(tuple(fit), tuple(held_out)), NO_SIGNALS)
     return result, result.base.values(Regressor(real, JOINTS).prior), encoders
 
 

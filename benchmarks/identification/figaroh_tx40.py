@@ -28,7 +28,11 @@ from pytest_twin.identification.effort.groups import dry_of
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.least_squares import linear_problem
 from pytest_twin.identification.effort.recording_rows import sample
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import (
+    MeasuredRecording,
+    MeasuredRecordings,
+    read_measured,
+)
 from pytest_twin.identification.regressor import Regressor, SharedMotor, structural_base
 from pytest_twin.realization import load
 from pytest_twin.twin import load_twin
@@ -40,7 +44,7 @@ CUTOFF, DECIMATED, COUNT = 100.0, 100, 6
 class Tx40(BaseIdentification):
     """FIGAROH's identification, with the missing parameters of this robot."""
 
-    def __init__(self, robot: RobotWrapper, recording: Measured) -> None:
+    def __init__(self, robot: RobotWrapper, recording: MeasuredRecording) -> None:
         self.recording = recording
         super().__init__(robot, "")
 
@@ -117,7 +121,7 @@ def main() -> None:
         ]
         since = time.perf_counter()
         ours = identify_effort(
-            model, MeasuredSet(tuple(read[0]), tuple(read[1])), twin.recordings.signals
+            model, MeasuredRecordings(tuple(read[0]), tuple(read[1])), twin.recordings.signals
         )
         spent = time.perf_counter() - since
         # The model is loaded without meshes, which are not part of the recordings.

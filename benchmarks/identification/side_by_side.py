@@ -24,7 +24,7 @@ import usual_way
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
-from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
@@ -54,7 +54,7 @@ def main() -> None:
     tested = sample(read[1], [regressor] * len(read[1]), choose_filter(read[0]))
 
     since = time.perf_counter()
-    ours = identify_effort(robot, MeasuredSet(tuple(read[0]), tuple(read[1])), NO_SIGNALS)
+    ours = identify_effort(robot, MeasuredRecordings(tuple(read[0]), tuple(read[1])), NO_SIGNALS)
     spent = time.perf_counter() - since
     values = np.zeros(len(regressor.columns))
     values[ours.base.independent] = ours.fitted.values

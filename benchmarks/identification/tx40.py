@@ -27,7 +27,7 @@ from pytest_twin.identification.effort.groups import dry_of
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.least_squares import LinearProblem, linear_problem
 from pytest_twin.identification.effort.recording_rows import sample
-from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
 from pytest_twin.identification.regressor import Regressor, SharedMotor, structural_base
 from pytest_twin.realization import load
 from pytest_twin.twin import load_twin
@@ -140,7 +140,7 @@ def compare_errors(document: dict, known: list[tuple[str, float, float]], paths:
     for one in document["base_parameters"]:
         ours[at[one["expression"]]] = one["value"]
     whole = identify_effort(
-        robot, MeasuredSet(tuple(read["whole"]), ()), twin.recordings.signals
+        robot, MeasuredRecordings(tuple(read["whole"]), ()), twin.recordings.signals
     ).fitted.values
     print("held-out effort error in percent (last fifth of the run; same motion, same filter)")
     print(f"{'parameters':34} " + " ".join(f"{joint:>8}" for joint in tx40_files.JOINTS))

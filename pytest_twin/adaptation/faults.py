@@ -38,18 +38,20 @@ class Fault:
     is_impulse: bool = False
 
 
-def _within(start: float, end: float, change: Callable[[Sample], Sample | None]) -> Distort:
+def _apply_within(start: float, end: float, change: Callable[[Sample], Sample | None]) -> Distort:
     return lambda time, sample, guard: change(sample) if start <= time < end else sample
 
 
 def _shift(start: float, end: float, spec: ResidualSpec) -> Distort:
     """Shift positions out of the valid region, by its width."""
     width = np.array([r.position[1] - r.position[0] for r in spec.joints.values()])
-    return _within(start, end, lambda s: replace(s, position=s.position + width))
+    return _apply_within(start, end, lambda s: replace(s, position=s.position + width))
 
 
 def _dropout(start: float, end: float, spec: ResidualSpec) -> Distort:
-    return _within(start, end, lambda s: replace(s, velocity=np.full_like(s.velocity, np.nan)))
+    return _apply_within(
+        start, end, lambda s: replace(s, velocity=np.full_like(s.velocity, np.nan))
+    )
 
 
 def _stale(start: float, end: float, spec: ResidualSpec) -> Distort:
@@ -104,7 +106,7 @@ def inject(spec: ResidualSpec, law: Any, row: Row, undisturbed: Log) -> list[dic
     if span is None:
         why = "the residual never acts long enough in these recordings"
         return [{"fault": fault.name, "holds": False, "why": why} for fault in FAULTS]
-    return [_injected(fault, spec, law, row, *span) for fault in FAULTS]
+    return [_injection_result(fault, spec, law, row, *span) for fault in FAULTS]
 
 
 def _window(log: Log, spec: ResidualSpec, duration: float) -> tuple[float, float] | None:
@@ -122,7 +124,7 @@ def _window(log: Log, spec: ResidualSpec, duration: float) -> tuple[float, float
     return (start, end) if usable else None
 
 
-def _injected(
+def _injection_result(
     fault: Fault, spec: ResidualSpec, law: Any, row: Row, start: float, end: float
 ) -> dict[str, Any]:
     guard = Guard(spec, law)

@@ -108,7 +108,7 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
             _unit_of_parameter(name, other.realization) for name in other.twin.update.parameters
         ]
     else:
-        document = _compared(base, other, trials, policy)
+        document = _compare_twins(base, other, trials, policy)
     for one in document["metrics"]:
         one["units"] = {
             joint: _unit_of_metric(one["metric"], joint, base.realization)
@@ -124,16 +124,16 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
     }
 
 
-def _compared(
+def _compare_twins(
     base: ComparedTwin, other: ComparedTwin, trials: Sequence[Trial], policy: ShadowPolicy
 ) -> dict[str, Any]:
-    before = [_replayed(base, trial) for trial in trials]
+    before = [_replay(base, trial) for trial in trials]
     spec = other.twin.residual
     faults: list[dict[str, Any]] = []
     notes: list[str] = []
     acting = None
     if spec is None:
-        after = [_replayed(other, trial) for trial in trials]
+        after = [_replay(other, trial) for trial in trials]
         notes.append("the candidate declares no residual and no update: no faults to inject")
     else:
         if patched_of(other.realization) is not None:
@@ -161,7 +161,7 @@ def _compared(
             "share": passed / total,
             "kept_out": {reason: count / total for reason, count in reasons.items()},
         }
-        most = int(np.argmax([_active(log) for log in logs]))
+        most = int(np.argmax([_active_samples(log) for log in logs]))
         faults = inject(spec, law, rows[most], logs[most])
     for result in (*before, *after):
         if result.error is not None:
@@ -201,14 +201,14 @@ def _require_joints(side: ComparedTwin, trials: Sequence[Trial]) -> None:
                 )
 
 
-def _replayed(side: ComparedTwin, trial: Trial) -> Replayed:
+def _replay(side: ComparedTwin, trial: Trial) -> Replayed:
     patched = patched_of(side.realization)
     if patched is not None:
         return replay_whole(side.realization, patched, trial)
     return replay(side.realization, [trial])[0]
 
 
-def _active(log: Log) -> float:
+def _active_samples(log: Log) -> float:
     _, force = log.table
     return float(np.count_nonzero(np.any(force != 0.0, axis=1)))
 

@@ -147,26 +147,28 @@ def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[d
         if seconds < _TRIED_WINDOWS * spec.window:
             some.append(row)
             seconds += row.trial.duration
-    simulated = _simulated_base(some, spec.noise)
+    simulated = _base_model_rows(some, spec.noise)
     found = []
     for name, change in _CHANGES.items():
-        windows = track(_copied(learned, learned.value), some, disturb=_WindowsWithFault(change))
+        windows = track(
+            _recursion_from(learned, learned.value), some, disturb=_WindowsWithFault(change)
+        )
         of_base: list[Window] = []
         if name != "restart":
-            begun = _copied(learned, learned.base)
+            begun = _recursion_from(learned, learned.base)
             of_base = track(begun, simulated, disturb=_WindowsWithFault(change))
         found.append(_verdict(name, spec, windows, of_base))
     return found
 
 
-def _copied(learned: Recursion, value: FloatArray) -> Recursion:
+def _recursion_from(learned: Recursion, value: FloatArray) -> Recursion:
     """Return a recursion with the learned covariance that starts at a value."""
     found = Recursion(learned.spec, learned.base)
     found.value, found.covariance = value.copy(), learned.covariance.copy()
     return found
 
 
-def _simulated_base(rows: Sequence[Row], noise: float) -> list[Row]:
+def _base_model_rows(rows: Sequence[Row], noise: float) -> list[Row]:
     """Return trials whose positions are those of the base model, with sensor noise in rad or m."""
     random = np.random.default_rng(_SEED)
     found = []
@@ -231,7 +233,7 @@ def _dropout(time: FloatArray, position: FloatArray) -> FloatArray:
     return gone
 
 
-def _saturated(time: FloatArray, position: FloatArray) -> FloatArray:
+def _clip_at_median(time: FloatArray, position: FloatArray) -> FloatArray:
     middle = np.median(position, axis=0)
     return np.minimum(position, middle)
 
@@ -247,7 +249,7 @@ _CHANGES: dict[str, Disturb] = {
     "distribution_shift": lambda time, position: position + 0.5 * (time - time[0])[:, None],
     "sensor_dropout": _dropout,
     "stale_time": _stale,
-    "saturation": _saturated,
+    "saturation": _clip_at_median,
     "contact_transition": _contact,
     "restart": lambda time, position: None,
 }

@@ -25,7 +25,7 @@ from pytest_twin.formats import atomic, xml
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.realization import gltf, inertia, mesh, urdf
-from pytest_twin.realization.files.locate import Located, locate
+from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS
 
@@ -72,7 +72,7 @@ def normalize(
     source: Path,
     folder: Path,
     *,
-    located: Located | None = None,
+    located: ModelFolders | None = None,
     accept: Collection[str] = (),
 ) -> Normalized:
     """Write the normalized asset of a URDF.
@@ -104,7 +104,7 @@ class _Normalizer:
         source: Path,
         robot: urdf.Robot,
         folder: Path,
-        located: Located,
+        located: ModelFolders,
         accept: Collection[str],
     ) -> None:
         self.source = source
@@ -344,7 +344,7 @@ class _Normalizer:
                 self._change(node, words, None, "0", "not stated and read as 0: stated explicitly")
 
     def _repair(self, element: Any, node: Any, link: urdf.Link, patch: str) -> None:
-        repaired = inertia.consistent(link.inertia)
+        repaired = inertia.nearest_consistent(link.inertia)
         # The moments refer to link axes; the inertial frame of the file may be rotated.
         _, axes = urdf.origin(link.inertial) if link.inertial else (None, np.eye(3))
         values = inertia.six_components(axes.T @ repaired @ axes)

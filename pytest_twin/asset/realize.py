@@ -71,7 +71,7 @@ def realize(
     located = locate(path, search=SearchFolders.of(roots, packages))
     made = normalize(path, out, located=located, accept=accept)
     say(0.3)
-    told = _repaired(urdf.read(path), made)
+    told = _apply_patches(urdf.read(path), made)
     robot = urdf.read(made.urdf)
     extras = urdf_extras.read(told)
     before = from_urdf.describe(told, extras, made.collision_points)
@@ -131,7 +131,7 @@ def realize(
     }
 
 
-def _repaired(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
+def _apply_patches(robot: urdf.Robot, made: Normalized) -> urdf.Robot:
     """Return the source with accepted patches, which every form has to represent."""
     for name in robot.corrected:
         link = robot.links[name]
@@ -178,7 +178,7 @@ def _mjcf(
         after = from_mujoco.describe(model, robot.root)
     except TwinError as error:
         path.unlink(missing_ok=True)
-        return _failed("MJCF", error, path.parent), None
+        return _failed_conversion("MJCF", error, path.parent), None
     return compare.compare(before, after, from_pinocchio.reference(told), "Pinocchio"), path
 
 
@@ -192,7 +192,7 @@ def _usd(made: Normalized, told: urdf.Robot, before: Description) -> _Form:
         return Conversion("URDF", "USD", "none", problem=str(error)), None
     except TwinError as error:
         path.unlink(missing_ok=True)
-        return _failed("USD", error, path.parent), None
+        return _failed_conversion("USD", error, path.parent), None
     return compare.compare(before, after, from_pinocchio.reference(told), "Pinocchio"), path
 
 
@@ -200,11 +200,11 @@ def _pinocchio(made: Normalized, robot: urdf.Robot, told: urdf.Robot, before: De
     try:
         after = from_pinocchio.describe(made.urdf, robot)
     except TwinError as error:
-        return _failed("Pinocchio", error, made.urdf.parent), None
+        return _failed_conversion("Pinocchio", error, made.urdf.parent), None
     return compare.compare(before, after, before.dynamics, "the URDF's own numbers"), None
 
 
-def _failed(target: str, error: TwinError, folder: Path) -> Conversion:
+def _failed_conversion(target: str, error: TwinError, folder: Path) -> Conversion:
     # Remove the temporary folder from paths, so that messages name files of the asset.
     problem = str(error).replace(f"{folder}/", "")
     return Conversion("URDF", target, "none", problem=problem, critical=True)

@@ -194,7 +194,7 @@ def _archive(path: Path, target: _Target) -> None:
         if head.startswith(b"PK"):
             _zip(stream, target)
         elif head[:2] in _OPENERS or head[257:262] == b"ustar":
-            with _decompressed(stream, head) as plain:
+            with _decompress(stream, head) as plain:
                 _tar(plain, target)
         else:
             raise FormatError("not an archive", path=path, expected="a zip, a tar, or a folder")
@@ -244,7 +244,7 @@ def _tar(stream: IO[bytes], target: _Target) -> None:
 
 
 @contextmanager
-def _decompressed(stream: BinaryIO, head: bytes) -> Iterator[IO[bytes]]:
+def _decompress(stream: BinaryIO, head: bytes) -> Iterator[IO[bytes]]:
     opener = _OPENERS.get(head[:2])
     if opener is None:
         yield stream

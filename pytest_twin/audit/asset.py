@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.audit.finding import Finding, Place
 from pytest_twin.old_names import old_name
-from pytest_twin.realization.files.locate import Located
+from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.node import Node
 
@@ -287,7 +287,7 @@ class Asset:
     custom: dict[str, list[Place]] = field(default_factory=dict)
     faults: list[Finding] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
-    located: Located | None = None
+    located: ModelFolders | None = None
     unseen: dict[str, str] = field(default_factory=dict)
 
     @property

@@ -80,7 +80,7 @@ class Finding:
             "line": None if self.place is None else self.place.line,
             "element": self.element,
             "title": self.title,
-            "value": _plain(self.value),
+            "value": _finite_or_text(self.value),
             "unit": self.unit,
             "expected": self.expected,
             "why": self.why,
@@ -88,7 +88,7 @@ class Finding:
         }
 
 
-def _plain(value: float | str | None) -> float | str | None:
+def _finite_or_text(value: float | str | None) -> float | str | None:
     """Replace infinity, which JSON cannot represent."""
     if isinstance(value, int | float) and not math.isfinite(value):
         return str(value)

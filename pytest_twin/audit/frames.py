@@ -34,7 +34,7 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
     yield from _names(asset)
     yield from _base(asset)
     yield from _tool(asset, evidence)
-    yield from _far(asset)
+    yield from _far_frames(asset)
 
 
 def _names(asset: Asset) -> Iterator[Finding]:
@@ -122,7 +122,7 @@ def _tool(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-def _far(asset: Asset) -> Iterator[Finding]:
+def _far_frames(asset: Asset) -> Iterator[Finding]:
     """Yield findings of frames far away from the rest of the robot."""
     if len(asset.drawn) < 4:
         return

@@ -129,7 +129,7 @@ class Geometry:
             chosen = [self.shape(s) for s in own if s.role == (role or "visual")]
             if role is None and not any(chosen):
                 chosen = [self.shape(s) for s in own if s.role == "collision"]
-            self._bodies[key] = together(solid for solid in chosen if solid is not None)
+            self._bodies[key] = merge_solids(solid for solid in chosen if solid is not None)
         return self._bodies[key]
 
     def hull_volume(self, shape: Shape) -> float:
@@ -188,7 +188,7 @@ def _hull_of(found: tuple[Vector, Faces] | None) -> tuple[Vector, Faces] | None:
     return vertices[used], inverse.reshape(-1, 3).astype(np.int32)
 
 
-def together(solids: Iterable[Solid]) -> Solid | None:
+def merge_solids(solids: Iterable[Solid]) -> Solid | None:
     """Merge several solids of equal density into one; None if there are none."""
     found = list(solids)
     if not found:

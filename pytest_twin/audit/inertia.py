@@ -37,9 +37,9 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
         if body.mass and body.inertia is not None and body.mass > 0:
             solid = geometry.body(body.name)
             yield from _default(body)
-            yield from _copied(body, seen, geometry)
+            yield from _copied_inertia(body, seen, geometry)
             if solid is not None and solid.size > 0:
-                yield from _against(body, body.mass, body.inertia, solid)
+                yield from _compare_with_hull(body, body.mass, body.inertia, solid)
         elif body.mass is None and body.inertial is not None and body.inertia is not None:
             yield Finding(
                 "inertia.no_mass",
@@ -53,7 +53,7 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "parsers make it massless, or refuse it",
                 _CAD,
             )
-    yield from _moving(asset, geometry)
+    yield from _massless_moving_bodies(asset, geometry)
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ def _has_one_digit(value: float) -> bool:
     return value > 0 and float(f"{value:.0e}") == value
 
 
-def _copied(
+def _copied_inertia(
     body: Body, seen: dict[tuple[float, ...], Body], geometry: Geometry
 ) -> Iterator[Finding]:
     assert body.inertia is not None
@@ -267,7 +267,7 @@ def _copied(
     )
 
 
-def _against(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator[Finding]:
+def _compare_with_hull(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator[Finding]:
     """Yield findings from the comparison with the convex hull of its shapes at uniform density."""
     element = _element(body)
     outside = solid.outside(body.com)
@@ -372,7 +372,7 @@ def _unit_guess(ratio: float) -> str:
     return ""
 
 
-def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
+def _massless_moving_bodies(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
     """Yield findings of moving bodies without mass or inertia."""
     members: dict[str, list[Body]] = {}
     for name, top in asset.group.items():
@@ -386,7 +386,7 @@ def _moving(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
             body.stated for body in bodies
         ):
             continue
-        mass, inertia = _together(bodies, asset)
+        mass, inertia = _combine_bodies(bodies, asset)
         body = asset.body[top]
         place = body.inertial or body.place
         joint = asset.joints_of[top][0]
@@ -434,7 +434,7 @@ def _is_flat(body: Body) -> bool:
     return bool(moments[0] <= 1e-9 * np.abs(moments).max())
 
 
-def _together(bodies: list[Body], asset: Asset) -> tuple[float, Vector]:
+def _combine_bodies(bodies: list[Body], asset: Asset) -> tuple[float, Vector]:
     """Return mass and inertia about the common centre of mass of bodies fixed to each other."""
     parts = []
     for body in bodies:

@@ -32,17 +32,17 @@ def read(path: Path, search: SearchFolders | None = None) -> Asset:
         return read_stage(path, () if search is None else search.roots)
     tag = xml.parse(path).tag
     if tag == "robot":
-        return _irregular(read_urdf.read(path, locate(path, search=search)))
+        return _add_irregularities(read_urdf.read(path, locate(path, search=search)))
     if tag == "mujoco":
         from pytest_twin.audit.read_mjcf import read as read_model
 
-        return _irregular(read_model(path, locate(path, search=search)))
+        return _add_irregularities(read_model(path, locate(path, search=search)))
     raise ModelError(
         "not a robot model", path=path, line=1, value=str(tag), expected="<robot> or <mujoco>"
     )
 
 
-def _irregular(asset: Asset) -> Asset:
+def _add_irregularities(asset: Asset) -> Asset:
     """Add the file's violations of the XML standard to the asset's faults."""
     for found in xml.irregularities(asset.path):
         asset.faults.append(

@@ -25,7 +25,7 @@ from pytest_twin.audit.asset import (
 from pytest_twin.audit.finding import LAYERS, Finding, Place, from_error
 from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import inertia, mjcf
-from pytest_twin.realization.files.locate import Located
+from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.inputs import joint_inputs
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.mesh import Triangles
@@ -46,7 +46,7 @@ _RADIANS_READ_AS_DEGREES = math.radians(2 * math.pi)
 """rad: a full turn in radians, interpreted as degrees."""
 
 
-def read(path: Path, located: Located, *, limits: ModelLimits = LIMITS) -> Asset:
+def read(path: Path, located: ModelFolders, *, limits: ModelLimits = LIMITS) -> Asset:
     """Read an MJCF file and everything that it refers to.
 
     Raises:
@@ -73,7 +73,7 @@ def read(path: Path, located: Located, *, limits: ModelLimits = LIMITS) -> Asset
     out.located = located
     out.files = sorted({*out.files, *document.asset_paths.values()})
     try:
-        model, warned = mjcf.compiled(spec)
+        model, warned = mjcf.compile_spec(spec)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         refusal = mjcf.translate(error, path, document.places)
         layer = next((word for word in ("inertia", "mesh") if word in refusal.problem), "tree")

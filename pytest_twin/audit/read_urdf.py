@@ -25,7 +25,7 @@ from pytest_twin.audit.finding import Finding, Place, from_error
 from pytest_twin.audit.mesh_files import MeshFiles
 from pytest_twin.errors import FormatError, ModelError, TwinError
 from pytest_twin.realization import urdf
-from pytest_twin.realization.files.locate import Located
+from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
@@ -44,7 +44,7 @@ _KINDS: Mapping[str, JointKind] = {
 
 def read(
     path: Path,
-    located: Located,
+    located: ModelFolders,
     *,
     limits: ModelLimits = LIMITS,
 ) -> Asset:
@@ -75,7 +75,7 @@ class _Reader:
         self,
         root: Node,
         path: Path,
-        located: Located,
+        located: ModelFolders,
         limits: ModelLimits,
     ) -> None:
         self.root = root

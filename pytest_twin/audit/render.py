@@ -152,7 +152,7 @@ def drawn_triangles(
     ]
     corners: list[Vector] = []
     colours: list[Vector] = []
-    for shape, (vertices, faces) in _within_budget(found):
+    for shape, (vertices, faces) in _limit_faces(found):
         if not len(faces):
             continue
         position, rotation = places[shape.body]
@@ -168,7 +168,7 @@ def drawn_triangles(
     return np.concatenate(corners), np.concatenate(colours)
 
 
-def _within_budget(found: list[_Drawn]) -> list[_Drawn]:
+def _limit_faces(found: list[_Drawn]) -> list[_Drawn]:
     """Reduce surfaces to at most ``_MOST_FACES`` triangles.
 
     The grid is coarser, the more meshes there are. If that is not enough, the largest shapes are

@@ -35,7 +35,7 @@ from pytest_twin.audit.read import read
 from pytest_twin.audit.self_collision import PoseResult
 from pytest_twin.audit.srdf.files import srdfs_of
 from pytest_twin.realization.files.search import SearchFolders
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
 SCHEMA = 1
 """Version of the audit's JSON."""
@@ -89,7 +89,7 @@ def audit_file(
     """
     say = progress or (lambda fraction: None)
     known = Evidence() if evidence_path is None else evidence.load(Path(evidence_path))
-    with quiet():
+    with suppress_mujoco_warnings():
         asset = read(Path(path), SearchFolders.of(roots, packages))
         say(0.4)
         geometry = Geometry(asset)
@@ -112,7 +112,7 @@ def critical_findings(path: str) -> list[str]:
     Raises:
         TwinError: the file holds no robot that can be read.
     """
-    with quiet():
+    with suppress_mujoco_warnings():
         asset = read(Path(path))
         findings = audit(asset, Evidence(), Geometry(asset))
     return [

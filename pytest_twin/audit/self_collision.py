@@ -18,7 +18,7 @@ from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Faces, Geometry
 from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import load
-from pytest_twin.realization.coal_hull import convex
+from pytest_twin.realization.coal_hull import convex_hull
 from pytest_twin.realization.collision import Shapes
 from pytest_twin.realization.model import Realization
 
@@ -125,10 +125,8 @@ def measure(
     """Compute the distances at every pose, and the findings about them.
 
     MuJoCo compiles URDF and MJCF and computes the distances; coal confirms those of near pairs. For
-    a
-    USD stage or a model that does not compile, coal alone computes distances between the convex
-    hulls
-    of the shapes that could be read.
+    a USD stage, or a model that does not compile, coal alone computes distances between the convex
+    hulls of the shapes that could be read.
     """
     if not any(shape.role == "collision" for shape in asset.shapes):
         return [], [_unknown(asset, "it has no collision shape", "add collision shapes from CAD")]
@@ -154,7 +152,7 @@ def measure(
             hulls = hulls or Hulls(asset, geometry)
             results.append(hulls.near(name, values))
         else:
-            results.append(_at(realization, shapes, name, values))
+            results.append(_distances_at(realization, shapes, name, values))
     return results, [finding for result in results for finding in _findings(asset, result)]
 
 
@@ -170,7 +168,7 @@ def _unknown(asset: Asset, why: str, settle: str) -> Finding:
     )
 
 
-def _at(
+def _distances_at(
     realization: Realization, shapes: Shapes, name: str, values: Mapping[str, float]
 ) -> PoseResult:
     model = realization.model
@@ -286,7 +284,7 @@ class Hulls:
         placed: list[object] = []
         for one in pair:
             if one not in self._made:
-                self._made[one] = convex(self._corners[one], self._faces[one])
+                self._made[one] = convex_hull(self._corners[one], self._faces[one])
             position, rotation = places[self._bodies[one]]
             placed += [self._made[one], coal.Transform3s(rotation, position)]
         return float(coal.distance(*placed, request, coal.DistanceResult()))

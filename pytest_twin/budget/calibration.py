@@ -115,13 +115,15 @@ class CalibrationUnknowns:
         rows = len(readings)
         for one in self.placed:
             if one.mount is not None:
-                own = _moved(one, step, width, rows)
-                back = _still(inverse(one.pose) @ inverse(one.mount), width, rows)
-                moving = moving @ _still(one.mount, width, rows) @ own @ back
-        moving = moving @ _still(chain.end, width, rows)
+                own = _pose_after_step(one, step, width, rows)
+                back = _fixed_pose(inverse(one.pose) @ inverse(one.mount), width, rows)
+                moving = moving @ _fixed_pose(one.mount, width, rows) @ own @ back
+        moving = moving @ _fixed_pose(chain.end, width, rows)
         for one in self.placed:
             if one.mount is None:
-                own = _moved(one, step, width, rows) @ _still(inverse(one.pose), width, rows)
+                own = _pose_after_step(one, step, width, rows) @ _fixed_pose(
+                    inverse(one.pose), width, rows
+                )
                 moving = own.inverse() @ moving
         return moving
 
@@ -138,7 +140,9 @@ class CalibrationUnknowns:
         return TransformWithJacobian(moving.rotation, moving.position, turn, shift)
 
 
-def _moved(one: UncertainPose, step: FloatArray, width: int, rows: int) -> TransformWithJacobian:
+def _pose_after_step(
+    one: UncertainPose, step: FloatArray, width: int, rows: int
+) -> TransformWithJacobian:
     """Return a pose after a step, ``t + d`` and ``R exp(r)``, with derivatives."""
     own = step[list(one.columns)]
     shift, turn = np.zeros((3, width)), np.zeros((3, width))
@@ -155,7 +159,7 @@ def _moved(one: UncertainPose, step: FloatArray, width: int, rows: int) -> Trans
     )
 
 
-def _still(pose: FloatArray, width: int, rows: int) -> TransformWithJacobian:
+def _fixed_pose(pose: FloatArray, width: int, rows: int) -> TransformWithJacobian:
     """Return a fixed pose with zero derivatives."""
     nothing = np.zeros((rows, 3, width))
     return TransformWithJacobian(

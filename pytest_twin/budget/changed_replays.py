@@ -79,7 +79,7 @@ class ChangedReplays:
         return [done for batch in batches for done in self._with_effects(batch)]
 
     def _plain(self, change: Change) -> Replayed:
-        row = replace(self._row, model=_changed_model(self._row.model, change))
+        row = replace(self._row, model=_change_model(self._row.model, change))
         time = self._row.trial.time
 
         def force(now: float) -> FloatArray:
@@ -98,7 +98,7 @@ class ChangedReplays:
         segments = [
             replace(
                 self._segment,
-                model=_changed_model(self._segment.model, change),
+                model=_change_model(self._segment.model, change),
                 added_force=(trial.time, change.force[:, columns]),
             )
             for change in changes
@@ -136,7 +136,7 @@ class ChangedReplays:
         return done
 
 
-def _changed_model(model: mujoco.MjModel, change: Change) -> mujoco.MjModel:
+def _change_model(model: mujoco.MjModel, change: Change) -> mujoco.MjModel:
     if not change.fields:
         return model
     changed = copy.copy(model)

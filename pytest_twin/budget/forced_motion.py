@@ -60,7 +60,7 @@ class SimulatedDisplacement:
     alone: dict[str, Spread]
 
 
-def simulated_displacement(
+def simulate_displacement(
     found: IdentifiedParameters, task: Task, realization: Realization
 ) -> SimulatedDisplacement:
     """Return the displacement of joints and frame along the task's motion.

@@ -12,7 +12,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.calibration import CalibrationUnknowns
 from pytest_twin.budget.categories import category_of_parameter
-from pytest_twin.budget.forced_motion import simulated_displacement
+from pytest_twin.budget.forced_motion import simulate_displacement
 from pytest_twin.budget.identification import (
     IdentifiedParameters,
     displacement_by_shifts,
@@ -122,10 +122,10 @@ def calibration_line(found: CalibrationUnknowns, task: Task, twin: Twin) -> Line
     groups = {part.name: (part.category, part.columns) for part in found.parts}
     return Line(
         record.id,
-        _leading(parts),
+        _leading_category(parts),
         _record("calibration", found.entry, record.path, record.sha256, twin),
         tuple(parts),
-        tuple(_correlated(found.covariance, groups)),
+        tuple(_correlated_parts(found.covariance, groups)),
         f"J C J^T over {len(task.readings)} poses, and {DRAWS} draws through the whole forward "
         "kinematics",
         linear,
@@ -151,7 +151,7 @@ def identification_line(
     method = "stated, not propagated to the task"
     if (found.columns or found.effects) and task.trial is not None:
         try:
-            motion = simulated_displacement(found, task, realization)
+            motion = simulate_displacement(found, task, realization)
             linear, drawn = motion.frame, motion.drawn
             joints, alone = motion.joints, motion.alone
             seconds = float(task.trial.time[-1])
@@ -201,10 +201,10 @@ def identification_line(
     ]
     return Line(
         record.id,
-        _leading(parts),
+        _leading_category(parts),
         _record("identification", found.entry, record.path, record.sha256, twin),
         tuple(parts),
-        tuple(_correlated(matrix, groups)),
+        tuple(_correlated_parts(matrix, groups)),
         method,
         linear,
         drawn,
@@ -218,10 +218,10 @@ def identification_line(
 
 def total_of(spreads: Sequence[Spread]) -> Spread | None:
     """Combine independent causes: root of the sum of squares."""
-    return _together(spreads) if spreads else None
+    return _combine_spreads(spreads) if spreads else None
 
 
-def _together(spreads: Sequence[Spread]) -> Spread:
+def _combine_spreads(spreads: Sequence[Spread]) -> Spread:
     def root(values: Callable[[Spread], float]) -> float:
         return float(np.sqrt(sum(values(one) ** 2 for one in spreads)))
 
@@ -244,7 +244,7 @@ def _part(
     }
 
 
-def _leading(parts: Sequence[Mapping[str, Any]]) -> str:
+def _leading_category(parts: Sequence[Mapping[str, Any]]) -> str:
     """Category of the part that moves the frame most; if none does, of that with most estimates."""
     return str(max(parts, key=_size)["category"])
 
@@ -254,7 +254,7 @@ def _size(part: Mapping[str, Any]) -> tuple[float, int]:
     return (0.0 if alone is None else alone["position"]), len(part["estimates"])
 
 
-def _correlated(
+def _correlated_parts(
     covariance: FloatArray, groups: Mapping[str, tuple[str, tuple[int, ...]]]
 ) -> list[dict[str, Any]]:
     """Pairs of correlated parts, each with the largest correlation of an unknown of each."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.provenance.poses import drawn_poses, poses_of
+from pytest_twin.provenance.poses import draw_poses, poses_of
 from pytest_twin.realization import Realization
 from pytest_twin.realization.patch import suggest
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
@@ -63,7 +63,7 @@ def task_of(twin: Twin, realization: Realization) -> Task:
     notes: list[str] = []
     trials = _trials(twin, realization, notes)
     if spec.poses:
-        readings = _declared(twin, realization, chain)
+        readings = _declared_poses(twin, realization, chain)
         found = Task(frame, source, chain, readings, None, f"{len(readings)} declared poses")
     elif trials:
         position, velocity = _instants(trials, chain)
@@ -95,7 +95,7 @@ def _frame(twin: Twin, realization: Realization) -> tuple[str, str]:
     return deepest, "the end of the longest chain; budget: frame: declares another"
 
 
-def _declared(twin: Twin, realization: Realization, chain: SerialChain) -> FloatArray:
+def _declared_poses(twin: Twin, realization: Realization, chain: SerialChain) -> FloatArray:
     known = realization.structure.joint_type
     for at, pose in enumerate(twin.budget.poses):
         for joint in pose:
@@ -132,7 +132,7 @@ def _without_motion(twin: Twin, realization: Realization, task: Task) -> Task:
     poses = poses_of(recordings, realization.structure, twin)
     words = f"positions of {len(twin.budget.recordings)} declared recordings"
     if poses is None:
-        poses = drawn_poses(realization.structure)
+        poses = draw_poses(realization.structure)
         words = "poses drawn within the joints' ranges (seed 0); budget: poses: declares others"
     keep = np.unique(np.linspace(0, len(poses.positions) - 1, POSES).astype(int))
     readings = np.zeros((len(keep), len(task.chain.joints)))

@@ -30,13 +30,15 @@ def unmodelled_lines(task: Task, lines: Sequence[Line], twin: Twin) -> list[dict
         if error is None and "translation_rms" in record.held_out:
             error = float(np.sqrt(3.0)) * record.held_out["translation_rms"]
         if error is not None:
-            found.append(_beyond(record.id, error, explained.get(record.id), "calibration"))
+            found.append(
+                _unexplained_error(record.id, error, explained.get(record.id), "calibration")
+            )
     for fit in twin.fits:
         own = fit.record.position_rms
         if fit.record.id in {line.id for line in lines} and own:
             error = frame_error(task, own)
             if error is not None:
-                found.append(_beyond(fit.record.id, error, explained.get(fit.record.id),
+                found.append(_unexplained_error(fit.record.id, error, explained.get(fit.record.id),
                                      "identification"))  # fmt: skip
     return found
 
@@ -51,7 +53,9 @@ def frame_error(task: Task, joints: Mapping[str, float]) -> float | None:
     return first_order(forward(task.chain, task.readings, every), np.diag(columns)).position
 
 
-def _beyond(ident: str, error: float, explained: float | None, kind: str) -> dict[str, Any]:
+def _unexplained_error(
+    ident: str, error: float, explained: float | None, kind: str
+) -> dict[str, Any]:
     beyond = float(np.sqrt(max(error**2 - (explained or 0.0) ** 2, 0.0)))
     over = "held-out observations" if kind == "calibration" else "whole held-out recordings"
     return {

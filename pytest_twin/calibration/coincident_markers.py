@@ -15,7 +15,7 @@ COINCIDENT_M = 1e-4
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class ExcludedMeasurement:
     """A measurement that is left out of the calibration.
 
     Attributes:
@@ -31,7 +31,9 @@ class LeftOut:
         return {"id": self.id, "why": self.why}
 
 
-def without_coincident(observations: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
+def without_coincident(
+    observations: Observations,
+) -> tuple[Observations, tuple[ExcludedMeasurement, ...]]:
     """Return the observations without coincident markers, and what was left out.
 
     If two markers coincide in every row, the first is kept. If they coincide in some rows only, the
@@ -39,7 +41,7 @@ def without_coincident(observations: Observations) -> tuple[Observations, tuple[
     distances do not decide it, neither is kept.
     """
     points = {name: values.copy() for name, values in observations.points.items()}
-    left_out: list[LeftOut] = []
+    left_out: list[ExcludedMeasurement] = []
     for first, second in combinations(tuple(points), 2):
         gap = np.linalg.norm(points[first] - points[second], axis=1)
         both = np.isfinite(gap)
@@ -49,7 +51,7 @@ def without_coincident(observations: Observations) -> tuple[Observations, tuple[
         if (same | ~both).all():
             points[second][same] = np.nan
             left_out.append(
-                LeftOut(
+                ExcludedMeasurement(
                     f"point.{second}",
                     f"markers {first} and {second} are at the same place in all {int(same.sum())} "
                     f"rows: one was lost and filled in; counted once, as {first}",
@@ -57,12 +59,12 @@ def without_coincident(observations: Observations) -> tuple[Observations, tuple[
             )
             continue
         for row in np.flatnonzero(same):
-            wrong = _wrong(points, first, second, int(row), same)
+            wrong = _misplaced_markers(points, first, second, int(row), same)
             for name in wrong:
                 points[name][row] = np.nan
             who = f"marker {wrong[0]} is" if len(wrong) == 1 else "both are"
             left_out.append(
-                LeftOut(
+                ExcludedMeasurement(
                     observations.ids[row],
                     f"markers {first} and {second} are at the same place ({1e3 * gap[row]:.3f} mm "
                     f"apart): {who} left out of this row",
@@ -71,7 +73,7 @@ def without_coincident(observations: Observations) -> tuple[Observations, tuple[
     return replace(observations, points=points), tuple(left_out)
 
 
-def _wrong(
+def _misplaced_markers(
     points: dict[str, np.ndarray], first: str, second: str, row: int, same: np.ndarray
 ) -> tuple[str, ...]:
     """Return which of two coincident markers are not at their position on the body."""

@@ -30,7 +30,7 @@ class _Group:
 
 
 @dataclass(frozen=True)
-class _Pooled:
+class _PooledSpread:
     """Pooled standard deviation of readings about their group means, with degrees of freedom."""
 
     std: float
@@ -87,7 +87,7 @@ def calibrate_encoders(
             at = chain.joints.index(joint)
             unit, sign = "rad" if chain.revolute[at] else "m", float(chain.signs[at])
         groups = _groups(readings, poses, sides)
-        pooled = _pooled(groups)
+        pooled = _pool(groups)
         if isinstance(pooled, str):
             unobservable.append(f"the repeatability of {joint}: {pooled}")
             continue
@@ -185,7 +185,7 @@ def _groups(
     return tuple(_Group(pose, side, readings[rows]) for (pose, side), rows in places.items())
 
 
-def _pooled(groups: tuple[_Group, ...]) -> _Pooled | str:
+def _pool(groups: tuple[_Group, ...]) -> _PooledSpread | str:
     """Return the pooled standard deviation within groups, or the reason why there is none."""
     degrees = sum(len(group.readings) - 1 for group in groups)
     if degrees < 1:
@@ -202,7 +202,7 @@ def _pooled(groups: tuple[_Group, ...]) -> _Pooled | str:
             "its readings are equal in each pose, so that their resolution hides it. Record more "
             "digits, or use an external measurement"
         )
-    return _Pooled(std, degrees)
+    return _PooledSpread(std, degrees)
 
 
 def _sides_of(groups: tuple[_Group, ...], pose: str) -> Mapping[str, _Group]:
@@ -210,7 +210,9 @@ def _sides_of(groups: tuple[_Group, ...], pose: str) -> Mapping[str, _Group]:
     return {side: found[side] for side in SIDES if side in found}
 
 
-def _hysteresis(groups: tuple[_Group, ...], pooled: _Pooled, unit: str) -> dict[str, Any] | None:
+def _hysteresis(
+    groups: tuple[_Group, ...], pooled: _PooledSpread, unit: str
+) -> dict[str, Any] | None:
     """Return the difference of both approach directions, a weighted mean over the poses."""
     differences, variances = [], []
     for pose in dict.fromkeys(group.pose for group in groups):
@@ -228,7 +230,7 @@ def _hysteresis(groups: tuple[_Group, ...], pooled: _Pooled, unit: str) -> dict[
 
 def _home(
     groups: tuple[_Group, ...],
-    pooled: _Pooled,
+    pooled: _PooledSpread,
     reference: Mapping[str, float],
     unit: str,
     sign: float,

@@ -52,7 +52,7 @@ class _Linear:
         return np.asarray(np.linalg.inv(np.tensordot(variances, self.parts, 1)))
 
 
-def weighed_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
+def weigh_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
     """Return the estimate weighted by the variance of each error source, and the sources' sizes.
 
     Restricted maximum likelihood by the minorize-maximize algorithm (Zhou, Hu, Zhou, Lange: MM
@@ -77,10 +77,10 @@ def weighed_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
     variances = scale / 2.0
     priors = prior_rows(fit.problem)
     prior = priors.T @ priors
-    linear = _linearized(fit, state, kept)
+    linear = _linearize(fit, state, kept)
     for _ in range(_ROUNDS):
-        state, step = _stepped(fit, state, linear, variances, priors)
-        linear = _linearized(fit, state, kept)
+        state, step = _gauss_newton_step(fit, state, linear, variances, priors)
+        linear = _linearize(fit, state, kept)
         new = np.maximum(_variances(linear, variances, prior), _LEAST**2 * scale)
         change = float(np.abs(np.sqrt(new / scale) - np.sqrt(variances / scale)).max())
         variances = new
@@ -101,7 +101,7 @@ def weighed_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
     return better, dict(zip(SOURCES, np.sqrt(variances).tolist(), strict=True))
 
 
-def _linearized(fit: Fit, state: State, kept: np.ndarray) -> _Linear:
+def _linearize(fit: Fit, state: State, kept: np.ndarray) -> _Linear:
     problem = fit.problem
     term = problem.terms[0]
     assert isinstance(term, PoseTerm)
@@ -118,7 +118,7 @@ def _linearized(fit: Fit, state: State, kept: np.ndarray) -> _Linear:
     return _Linear(residuals[kept], slopes[kept], parts)
 
 
-def _stepped(
+def _gauss_newton_step(
     fit: Fit, state: State, linear: _Linear, variances: FloatArray, priors: FloatArray
 ) -> tuple[State, float]:
     """Return the state after a Gauss-Newton step, and the step's largest component, m or rad."""

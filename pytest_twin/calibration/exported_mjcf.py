@@ -22,7 +22,7 @@ from pytest_twin.realization.loading import load
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
-def calibrated_mjcf(robot: Path, records: Mapping[str, Any], folder: Path) -> str | None:
+def write_calibrated_mjcf(robot: Path, records: Mapping[str, Any], folder: Path) -> str | None:
     """Return the text of an MJCF with a frame around each body that holds its joint's deviation.
 
     Everything else stays unchanged: defaults, classes, includes. Returns None if a frame cannot

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import rigid
-from pytest_twin.calibration.exported_mjcf import calibrated_mjcf
+from pytest_twin.calibration.exported_mjcf import write_calibrated_mjcf
 from pytest_twin.calibration.joint_changes import joint_changes
 from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.formats import xml
@@ -53,7 +53,7 @@ def export_files(plan: str, document: Mapping[str, Any], folder: str) -> dict[st
     if found.robot is not None and found.robot.suffix.lower() == ".urdf" and changes:
         texts[URDF] = calibrated_urdf(found.robot, records, Path(folder))
     if found.robot is not None and found.robot.suffix.lower() == ".xml" and changes:
-        text = calibrated_mjcf(found.robot, records, Path(folder))
+        text = write_calibrated_mjcf(found.robot, records, Path(folder))
         if text is not None:
             texts[MJCF] = text
     if "intrinsics" in records and (text := camera_info(found, document)) is not None:

@@ -69,7 +69,7 @@ def find_mistakes(fit: Fit) -> tuple[InputMistake, ...]:
     rows = {int(row) for term in problem.terms for row in term.rows}
     if len(rows) < LEAST_ROWS or not problem.layout.poses:
         return ()
-    found = [InputMistake(what, mend, *_nothing()) for what, mend in _far_away(problem)]
+    found = [InputMistake(what, mend, *_unknown_errors()) for what, mend in _far_away(problem)]
     now = _errors(problem)
     tried = [
         InputMistake(what, mend, *_errors(problem.with_observations(changed)))
@@ -98,7 +98,7 @@ def find_mistakes(fit: Fit) -> tuple[InputMistake, ...]:
     return (*found, *sorted(good, key=lambda one: one.translation))
 
 
-def _nothing() -> tuple[float, float]:
+def _unknown_errors() -> tuple[float, float]:
     return float("nan"), float("nan")
 
 
@@ -143,7 +143,7 @@ def _alternatives(problem: Problem) -> Iterator[tuple[str, str, Observations]]:
         yield (
             "the quaternions of camera_from_target seem to be in the order x y z w",
             "exchange the headings: qw is the real part",
-            replace(observations, camera_from_target=_reordered(poses)),
+            replace(observations, camera_from_target=_reorder_quaternions(poses)),
         )
     if problem.chain is None and flange is not None:
         yield (
@@ -154,7 +154,7 @@ def _alternatives(problem: Problem) -> Iterator[tuple[str, str, Observations]]:
         yield (
             "the quaternions of flange.* seem to be in the order x y z w",
             "exchange the headings: qw is the real part",
-            replace(observations, flange=_reordered(flange)),
+            replace(observations, flange=_reorder_quaternions(flange)),
         )
         if poses is not None and observations.images is None:
             yield (
@@ -188,7 +188,7 @@ def _wrong_signs(
     yield (
         "one of the axes of camera_from_target seems to be mirrored (a left-handed frame)",
         "negate the mirrored axis: of y these are the columns y, qx and qz",
-        replace(observations, camera_from_target=_left_handed(poses)),
+        replace(observations, camera_from_target=_mirror_y(poses)),
     )
     columns = {"camera_from_target": poses}
     if flange_is_read and observations.flange is not None:
@@ -204,7 +204,7 @@ def _wrong_signs(
             )
 
 
-def _left_handed(poses: FloatArray) -> FloatArray:
+def _mirror_y(poses: FloatArray) -> FloatArray:
     """Poses with the y axis of both frames mirrored."""
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     return np.asarray(mirror @ poses @ mirror)
@@ -233,7 +233,7 @@ def _joint_alternatives(
         )
 
 
-def _reordered(poses: FloatArray) -> FloatArray:
+def _reorder_quaternions(poses: FloatArray) -> FloatArray:
     """Return poses with quaternions read as x y z w instead of w x y z."""
     changed = poses.copy()
     there = np.isfinite(poses).all(axis=(1, 2))

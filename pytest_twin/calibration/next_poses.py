@@ -14,9 +14,9 @@ from pytest_twin.calibration.records import Estimate
 from pytest_twin.calibration.solve import whitened_jacobian
 from pytest_twin.calibration.terms import PoseTerm
 from pytest_twin.calibration.workspace import (
-    drawn_flanges,
-    drawn_joints,
-    predicted_rows,
+    draw_flanges,
+    draw_joints,
+    predict_rows,
     spread,
 )
 from pytest_twin.metrics.pose import pose_vector
@@ -64,8 +64,8 @@ def next_poses(found: Estimate) -> dict[str, Any]:
     """
     fit = found.fit
     problem, state = fit.problem, fit.state
-    at = _drawn(problem)
-    candidates = predicted_rows(problem, state, at)
+    at = _draw_poses(problem)
+    candidates = predict_rows(problem, state, at)
     visible = _visible(problem, candidates)
     if visible.sum() < WANTED:
         return {"poses": []}
@@ -85,11 +85,11 @@ def next_poses(found: Estimate) -> dict[str, Any]:
         best = int(np.argmax(gain))
         information = information + blocks[best].T @ blocks[best]
         poses.append(_pose_entry(problem, at[chosen[best]], float(gain[best]) / np.log(2.0)))
-    seen = drawn_flanges if problem.chain is None else None
+    seen = draw_flanges if problem.chain is None else None
     where = (
         seen(problem.observations.flange, 60, seed=1)  # type: ignore[arg-type]
         if seen is not None
-        else drawn_joints(problem.chain, 60, seed=1)  # type: ignore[arg-type]
+        else draw_joints(problem.chain, 60, seed=1)  # type: ignore[arg-type]
     )
     before = np.asarray(np.linalg.inv(fit.jacobian.T @ fit.jacobian + weak), dtype=np.float64)
     then = np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -100,7 +100,7 @@ def next_poses(found: Estimate) -> dict[str, Any]:
     }
 
 
-def _drawn(problem: Problem) -> FloatArray:
+def _draw_poses(problem: Problem) -> FloatArray:
     """Random joint readings or flange poses, in the whole workspace and around observed ones."""
     draw = np.random.default_rng(3)
     some = draw.integers(len(problem.observations), size=_DRAWN)
@@ -112,9 +112,9 @@ def _drawn(problem: Problem) -> FloatArray:
         near[:, :3, :3] = near[:, :3, :3] @ turn.as_matrix()
         near[:, :3, 3] += draw.normal(0.0, _AROUND_M, (len(near), 3))
         near = near[np.isfinite(near).all(axis=(1, 2))]
-        return np.concatenate([near, drawn_flanges(flange, _DRAWN // 2, seed=4)])
+        return np.concatenate([near, draw_flanges(flange, _DRAWN // 2, seed=4)])
     chain = problem.chain
-    wide = drawn_joints(chain, _DRAWN, seed=4)
+    wide = draw_joints(chain, _DRAWN, seed=4)
     step = draw.normal(0.0, 1.0, (_DRAWN // 2, len(chain.joints)))
     near = problem.readings[some[: _DRAWN // 2]] + step * np.where(
         chain.revolute, _AROUND_RAD, _AROUND_M

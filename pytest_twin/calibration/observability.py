@@ -13,7 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import POSE_LABELS, Layout, State
 from pytest_twin.calibration.problem import PIVOT, TIP, Problem, describe_pose, marker_of
 from pytest_twin.calibration.solve import Fit, whitened_jacobian
-from pytest_twin.calibration.workspace import drawn_flanges, drawn_joints, predicted_rows, spread
+from pytest_twin.calibration.workspace import draw_flanges, draw_joints, predict_rows, spread
 
 UNDETERMINED_RAD = 0.05
 """Standard deviation of an angle above which it is not determined. No robot task could use it."""
@@ -79,7 +79,7 @@ def hold_gauges(problem: Problem, state: State) -> tuple[Problem, tuple[Gauge, .
         layout = replace(problem.layout, links=())
         bare = replace(problem, layout=layout, fixed=replace(problem.fixed, links=np.zeros(0)))
         bare_state = replace(state, links=np.zeros(0))
-        drawn = predicted_rows(bare, bare_state, drawn_joints(problem.chain, _DRAWN_ROWS, seed=0))
+        drawn = predict_rows(bare, bare_state, draw_joints(problem.chain, _DRAWN_ROWS, seed=0))
         jacobian = whitened_jacobian(drawn, bare_state, _NOISE)
         full, right = _right_singular(jacobian * natural_sizes(layout))
         null = right[full <= STRUCTURAL * full.max()]
@@ -98,9 +98,9 @@ def hold_gauges(problem: Problem, state: State) -> tuple[Problem, tuple[Gauge, .
         found.append(
             Gauge(
                 joint,
-                f"the {_zero(layout.joints[joint])} and {' and '.join(others)} cannot be told "
-                "apart in any poses; the zero is held at its nominal value and the other takes "
-                "it up",
+                f"the {_zero(layout.joints[joint])} and {' and '.join(others)} cannot be "
+                "distinguished in any poses; the zero keeps its nominal value, and the other "
+                "estimate contains both",
             )
         )
         problem = replace(problem, layout=problem.layout.without_zeros({joint}))
@@ -146,7 +146,7 @@ def undetermined_directions(fit: Fit) -> tuple[Direction, ...]:
     null = right[(full < least) | (full <= STRUCTURAL * full.max())]
     found = []
     turning = np.array([parameter.unit == "rad" for parameter in layout.parameters])
-    for direction in _simple(null, turning):
+    for direction in _sparse_basis(null, turning):
         words = describe_direction(fit.problem, layout, direction)
         apart = (
             f"{' and '.join(words)} cannot be distinguished in these poses"
@@ -172,10 +172,10 @@ def uncertain_directions(
     if problem.layout.count == 0:
         return ()
     if problem.chain is not None:
-        at = drawn_joints(problem.chain, _DRAWN_ROWS, seed=1)
+        at = draw_joints(problem.chain, _DRAWN_ROWS, seed=1)
     else:
         assert problem.observations.flange is not None
-        at = drawn_flanges(problem.observations.flange, _DRAWN_ROWS, seed=1)
+        at = draw_flanges(problem.observations.flange, _DRAWN_ROWS, seed=1)
     found = spread(problem, fit.state, covariance, at)
     directions = []
     for kind, bound, unit in (
@@ -198,7 +198,7 @@ def uncertain_directions(
     return tuple(directions)
 
 
-def affected(layout: Layout, directions: Sequence[Direction]) -> np.ndarray:
+def affected_unknowns(layout: Layout, directions: Sequence[Direction]) -> np.ndarray:
     """(count,) True for the unknowns that belong to a direction."""
     parts = np.zeros(layout.count, dtype=bool)
     for direction in directions:
@@ -227,7 +227,7 @@ def natural_sizes(layout: Layout, length: float = 1.0) -> FloatArray:
     return np.array([length if p.unit == "m" else 1.0 for p in layout.parameters])
 
 
-def _simple(null: FloatArray, turning: np.ndarray) -> list[FloatArray]:
+def _sparse_basis(null: FloatArray, turning: np.ndarray) -> list[FloatArray]:
     """Return a sparse basis of a null space (Gauss-Jordan).
 
     Angles are eliminated first: a shift along an axis is then apart from the turn about it.

@@ -129,7 +129,7 @@ def from_table(table: ObservationTable) -> Observations:
     for marker in markers:
         _complete(table, f"point.{marker}", ("x", "y", "z"))
         points[marker] = np.stack([table.numbers(f"point.{marker}.{a}") for a in "xyz"], axis=1)
-    poses = {name: _poses(table, name) for name in _POSES if any(_of(names, name))}
+    poses = {name: _poses(table, name) for name in _POSES if any(_with_prefix(names, name))}
     known = {"id", "time", "image", "pivot", "payload", "pose", "approach"}
     left_out = [
         name
@@ -177,7 +177,7 @@ def _approaches(table: ObservationTable) -> tuple[str, ...] | None:
     return found
 
 
-def _of(names: set[str], prefix: str) -> list[str]:
+def _with_prefix(names: set[str], prefix: str) -> list[str]:
     return [name for name in names if name.startswith(prefix + ".")]
 
 

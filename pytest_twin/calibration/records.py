@@ -13,7 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.block_jackknife import block_jackknife, is_odometry
 from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.jackknife import jackknife
-from pytest_twin.calibration.observability import Direction, affected
+from pytest_twin.calibration.observability import Direction, affected_unknowns
 from pytest_twin.calibration.parameters import POSE_LABELS
 from pytest_twin.calibration.problem import (
     INVERTED_RECORDS,
@@ -73,9 +73,9 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
     """
     layout = fit.problem.layout
     left_out = jackknife(fit)
-    lost = affected(layout, directions)
+    lost = affected_unknowns(layout, directions)
     if is_odometry(fit.problem) and not directions:
-        slopes, residuals = _whitened(fit)
+        slopes, residuals = _whitened_rows(fit)
         prior = prior_rows(fit.problem)
         covariance, quantile = block_jackknife(slopes, residuals, prior.T @ prior)
         return Estimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
@@ -91,7 +91,7 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
     return Estimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
 
 
-def _whitened(fit: Fit) -> tuple[FloatArray, FloatArray]:
+def _whitened_rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
     """(n, 6, count) Jacobian and (n, 6) residuals of the fitted poses, divided by their noise."""
     (term,), (kept,), (residuals,) = fit.problem.terms, fit.kept, fit.residuals
     slopes = fit.jacobian[: residuals.size].reshape(*residuals.shape, -1)
@@ -100,7 +100,7 @@ def _whitened(fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 def with_directions(found: Estimate, directions: tuple[Direction, ...]) -> Estimate:
     """Return the estimate without the unknowns that belong to the given directions."""
-    lost = affected(found.fit.problem.layout, directions)
+    lost = affected_unknowns(found.fit.problem.layout, directions)
     return replace(found, directions=directions, lost=lost)
 
 

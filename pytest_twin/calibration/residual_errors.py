@@ -211,7 +211,9 @@ def _rates(term: Term, problem: Problem, state: State) -> FloatArray:
     return rates
 
 
-def accepted(summary: Mapping[str, Any], bounds: Mapping[str, float | None]) -> list[str]:
+def acceptance_failures(
+    summary: Mapping[str, Any], bounds: Mapping[str, float | None]
+) -> list[str]:
     """Return a sentence for each error beyond its bound; empty if all are accepted."""
     units = {"translation": ("mm", 1e3), "rotation": ("mrad", 1e3), "reprojection": ("px", 1.0)}
     found = []

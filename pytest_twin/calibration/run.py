@@ -16,9 +16,9 @@ from pytest_twin.calibration.cameras.half_turn import with_consistent_orientatio
 from pytest_twin.calibration.cameras.image_refinement import ImageRefinement, calibrate_intrinsics
 from pytest_twin.calibration.cameras.images import Images, read_images
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
-from pytest_twin.calibration.coincident_markers import LeftOut, without_coincident
+from pytest_twin.calibration.coincident_markers import ExcludedMeasurement, without_coincident
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
-from pytest_twin.calibration.error_sources import weighed_by_source
+from pytest_twin.calibration.error_sources import weigh_by_source
 from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
 from pytest_twin.calibration.next_poses import next_poses, pose_diversity
 from pytest_twin.calibration.observability import (
@@ -31,7 +31,7 @@ from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem, reported_flange
-from pytest_twin.calibration.recordings.gather import Gathered, gather
+from pytest_twin.calibration.recordings.gather import GatheredObservations, gather
 from pytest_twin.calibration.records import (
     Estimate,
     estimate,
@@ -39,7 +39,7 @@ from pytest_twin.calibration.records import (
     records,
     with_directions,
 )
-from pytest_twin.calibration.residual_errors import Errors, accepted, errors_of, pattern
+from pytest_twin.calibration.residual_errors import Errors, acceptance_failures, errors_of, pattern
 from pytest_twin.calibration.scene import scene
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
@@ -55,7 +55,7 @@ calibration. Poor predictions of the calibration raise the best third too and ar
 
 
 @dataclass(frozen=True)
-class Solved:
+class Solution:
     """Solution of a problem on the fitted observations.
 
     Attributes:
@@ -134,7 +134,7 @@ def _calibrate_observations(
     return document
 
 
-def _read_files(plan: Plan, gathered: Gathered, folder: Path) -> list[Path]:
+def _read_files(plan: Plan, gathered: GatheredObservations, folder: Path) -> list[Path]:
     robot = [plan.robot] if plan.robot else []
     files = [plan.path, *_files(plan.observations), *robot]
     return files + [one for one in gathered.tables if one not in files and folder.is_dir()]
@@ -166,7 +166,7 @@ def calibrate(
     chain: SerialChain | None,
     progress: Callable[[float], None] = lambda fraction: None,
     images: Images | None = None,
-    rejected: Sequence[LeftOut] = (),
+    rejected: Sequence[ExcludedMeasurement] = (),
 ) -> dict[str, Any]:
     """Return the content of ``calibration.json`` for observations in memory.
 
@@ -251,7 +251,7 @@ def calibrate(
     document["suspected"] = [one.to_json() for one in suspected]
     reasons = [
         *(f"{one.what}; {one.mend}" for one in suspected),
-        *accepted(
+        *acceptance_failures(
             errors.summary() if errors.ids else solved.estimate.leave_one_out, asdict(plan.accept)
         ),
     ]
@@ -275,7 +275,7 @@ def calibrate(
     return document
 
 
-def solve_problem(problem: Problem) -> Solved:
+def solve_problem(problem: Problem) -> Solution:
     """Return the best solution of a problem over all starts.
 
     Raises:
@@ -294,12 +294,12 @@ def solve_problem(problem: Problem) -> Solved:
     found = estimate(fit, directions)
     if not directions:
         found = with_directions(found, uncertain_directions(fit, found.covariance, found.quantile))
-    found, sources = weighed_by_source(found)
+    found, sources = weigh_by_source(found)
     kept = {name: state for name, state in candidates.items() if not is_subset(name)}
-    return Solved(found, gauges, kept, sources)
+    return Solution(found, gauges, kept, sources)
 
 
-def without_gross_errors(errors: Errors) -> tuple[Errors, tuple[LeftOut, ...]]:
+def without_gross_errors(errors: Errors) -> tuple[Errors, tuple[ExcludedMeasurement, ...]]:
     """Exclude gross errors from held-out ones; return the rest and what was excluded."""
     if len(errors.ids) < 4:
         return errors, ()
@@ -310,7 +310,7 @@ def without_gross_errors(errors: Errors) -> tuple[Errors, tuple[LeftOut, ...]]:
     if not gross.any():
         return errors, ()
     left_out = tuple(
-        LeftOut(
+        ExcludedMeasurement(
             errors.ids[at],
             f"held out; {1e3 * errors.distance[at]:.3g} mm off, more than {GROSS_RATIO:.0f} times "
             "the best third of the held-out observations",
@@ -329,7 +329,7 @@ def _errors_json(errors: Errors, payloads: Sequence[str] | None) -> dict[str, An
     return found
 
 
-def _solvers(held: Problem, solved: Solved, errors: Errors) -> dict[str, Any]:
+def _solvers(held: Problem, solved: Solution, errors: Errors) -> dict[str, Any]:
     found = {}
     kept = ("translation_rms", "rotation_rms")
     chosen = set(errors.ids)
@@ -341,7 +341,7 @@ def _solvers(held: Problem, solved: Solved, errors: Errors) -> dict[str, Any]:
     return found
 
 
-def _outliers(fit: Fit) -> list[LeftOut]:
+def _outliers(fit: Fit) -> list[ExcludedMeasurement]:
     found = []
     for term, kept, residual in zip(fit.problem.terms, fit.kept, fit.residuals, strict=True):
         for at in np.flatnonzero(~kept):
@@ -351,10 +351,10 @@ def _outliers(fit: Fit) -> list[LeftOut]:
             if len(term.noise) == 6:
                 words += f" and {1e3 * np.linalg.norm(residual[at, 3:]):.3g} mrad"
             found.append(
-                LeftOut(
+                ExcludedMeasurement(
                     fit.problem.observations.ids[term.rows[at]],
-                    f"outlier: {words} from what all others say (their standard deviation: "
-                    f"{usual:.3g} mm)",
+                    f"outlier: {words} from the fit to the others, whose standard deviation is "
+                    f"{usual:.3g} mm",
                 )
             )
     return found

@@ -129,7 +129,7 @@ def solve(problem: Problem, start: State) -> Fit:
         before, noise = noise, _noise(problem, residuals, slopes, noise, kept)
         if same and all(abs(noise[name] / before[name] - 1.0) < 1e-3 for name in noise):
             break
-    jacobian = _whitened(problem, slopes, noise, [one.astype(float) for one in kept])
+    jacobian = _whiten(problem, slopes, noise, [one.astype(float) for one in kept])
     degrees = _degrees(problem, jacobian, kept)
     return Fit(problem, state, noise, kept, tuple(residuals), jacobian, degrees)
 
@@ -154,7 +154,7 @@ def whitened_jacobian(
     """
     slopes = _residuals(problem, state)[1]
     counted = kept or tuple(np.ones(len(term.rows), dtype=bool) for term in problem.terms)
-    return _whitened(problem, slopes, noise, [one.astype(float) for one in counted])
+    return _whiten(problem, slopes, noise, [one.astype(float) for one in counted])
 
 
 def _residuals(problem: Problem, state: State) -> tuple[list[FloatArray], list[FloatArray]]:
@@ -212,7 +212,7 @@ def _noise(
     kept: tuple[np.ndarray, ...],
 ) -> dict[str, float]:
     """Estimate the noise of each kind: squared residuals over degrees of freedom."""
-    jacobian = _whitened(problem, slopes, noise, [one.astype(float) for one in kept])
+    jacobian = _whiten(problem, slopes, noise, [one.astype(float) for one in kept])
     left = np.linalg.svd(jacobian, full_matrices=False)
     rank = left[1] > 1e-10 * max(left[1].max(initial=0.0), 1e-300)
     leverage = np.sum(left[0][:, rank] ** 2, axis=1)
@@ -252,7 +252,7 @@ def _inliers(problem: Problem, distances: list[FloatArray]) -> tuple[np.ndarray,
     return tuple(found)
 
 
-def _whitened(
+def _whiten(
     problem: Problem,
     slopes: list[FloatArray],
     noise: Mapping[str, float],
@@ -269,7 +269,7 @@ def at_state(fit: Fit, state: State) -> Fit:
     """Return the fit with residuals, noise and derivatives at another state."""
     residuals, slopes = _residuals(fit.problem, state)
     noise = _noise(fit.problem, residuals, slopes, fit.noise, fit.kept)
-    jacobian = _whitened(fit.problem, slopes, noise, [one.astype(float) for one in fit.kept])
+    jacobian = _whiten(fit.problem, slopes, noise, [one.astype(float) for one in fit.kept])
     return replace(fit, state=state, noise=noise, residuals=tuple(residuals), jacobian=jacobian)
 
 
@@ -321,7 +321,7 @@ def _least_squares(
         return np.concatenate([*rows, prior_values(problem, state) + priors @ step])
 
     def jacobian(step: FloatArray) -> FloatArray:
-        return _whitened(problem, [slope for _, slope in evaluated(step)], noise, weights)
+        return _whiten(problem, [slope for _, slope in evaluated(step)], noise, weights)
 
     start = np.zeros(problem.layout.count)
     # MINPACK's method is the fastest here, but does not accept fewer residuals than unknowns.

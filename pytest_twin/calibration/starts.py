@@ -176,9 +176,9 @@ def _points(problem: Problem, state: State) -> State:
         if world in problem.layout.poses:
             poses[world], places = closed_form.markers(mine, [term.measured for term in free])
         else:
-            seen = [_moved(poses[world], term.measured) for term in free]
+            seen = [_transform_points(poses[world], term.measured) for term in free]
             places = [
-                np.median(_moved(closed_form.inverse(a), b), axis=0)
+                np.median(_transform_points(closed_form.inverse(a), b), axis=0)
                 for a, b in zip(mine, seen, strict=True)
             ]
         points |= {term.point: place for term, place in zip(free, places, strict=True)}
@@ -198,7 +198,7 @@ def _known_points(
     if mounted is None:
         if world not in problem.layout.poses:
             return {}
-        mine = [_moved(flange[t.rows], state.points[t.point][None]) for t in terms]
+        mine = [_transform_points(flange[t.rows], state.points[t.point][None]) for t in terms]
         theirs = [t.measured for t in terms]
         return {world: closed_form.kabsch(np.concatenate(theirs), np.concatenate(mine))}
     rows, seen = [], []
@@ -222,12 +222,12 @@ def _known_points(
         return {mounted: _middle(each)}
     if free[1]:
         tool = flange @ state.poses[mounted]
-        mine = [_moved(tool[t.rows], state.points[t.point][None]) for t in terms]
+        mine = [_transform_points(tool[t.rows], state.points[t.point][None]) for t in terms]
         theirs = [t.measured for t in terms]
         return {world: closed_form.kabsch(np.concatenate(theirs), np.concatenate(mine))}
     return {}
 
 
-def _moved(transform: FloatArray, points: FloatArray) -> FloatArray:
+def _transform_points(transform: FloatArray, points: FloatArray) -> FloatArray:
     rotation, position = transform[..., :3, :3], transform[..., :3, 3]
     return np.asarray(np.einsum("...ij,...j->...i", rotation, points) + position)

@@ -38,7 +38,7 @@ class TransformWithJacobian:
         """Return the product: ``other`` in this transform's parent frame."""
         arm = np.einsum("nij,nj->ni", self.rotation, other.position)
         turn = self.turn + self.rotation @ other.turn
-        shift = self.shift + crossed(self.turn, arm) + self.rotation @ other.shift
+        shift = self.shift + cross_product(self.turn, arm) + self.rotation @ other.shift
         return TransformWithJacobian(
             self.rotation @ other.rotation, self.position + arm, turn, shift
         )
@@ -46,7 +46,7 @@ class TransformWithJacobian:
     def inverse(self) -> TransformWithJacobian:
         """Return the inverse transforms."""
         back = np.swapaxes(self.rotation, 1, 2)
-        shift = -back @ (self.shift - crossed(self.turn, self.position))
+        shift = -back @ (self.shift - cross_product(self.turn, self.position))
         position = -np.einsum("nij,nj->ni", back, self.position)
         return TransformWithJacobian(back, position, -back @ self.turn, shift)
 
@@ -58,11 +58,11 @@ class TransformWithJacobian:
             slope: (n, 3, p) derivatives of ``point``.
         """
         arm = np.einsum("nij,nj->ni", self.rotation, point)
-        moved = self.shift + crossed(self.turn, arm) + self.rotation @ slope
+        moved = self.shift + cross_product(self.turn, arm) + self.rotation @ slope
         return self.position + arm, moved
 
 
-def crossed(turn: FloatArray, arm: FloatArray) -> FloatArray:
+def cross_product(turn: FloatArray, arm: FloatArray) -> FloatArray:
     """``turn x arm`` for each parameter: (n, 3, p) of (n, 3, p) and (n, 3)."""
     a = arm[:, :, None]
     return np.stack(

@@ -20,7 +20,7 @@ parameter of an arm."""
 _KINDS = {"translation": "translation", "point": "translation", "rotation": "rotation"}
 
 
-def drawn_joints(chain: SerialChain, count: int, seed: int) -> FloatArray:
+def draw_joints(chain: SerialChain, count: int, seed: int) -> FloatArray:
     """(count, joints) random encoder readings within the joint limits, rad or m."""
     draw = np.random.default_rng(seed)
     widest = np.where(chain.revolute, WIDEST_RAD, WIDEST_M)
@@ -35,7 +35,7 @@ def drawn_joints(chain: SerialChain, count: int, seed: int) -> FloatArray:
     return np.asarray((positions - chain.offsets) / chain.signs)
 
 
-def drawn_flanges(observed: FloatArray, count: int, seed: int) -> FloatArray:
+def draw_flanges(observed: FloatArray, count: int, seed: int) -> FloatArray:
     """(count, 4, 4) random flange poses within the box of the observed positions, m."""
     draw = np.random.default_rng(seed)
     places = observed[np.isfinite(observed).all(axis=(1, 2)), :3, 3]
@@ -45,7 +45,7 @@ def drawn_flanges(observed: FloatArray, count: int, seed: int) -> FloatArray:
     return found
 
 
-def predicted_rows(problem: Problem, state: State, at: FloatArray) -> Problem:
+def predict_rows(problem: Problem, state: State, at: FloatArray) -> Problem:
     """Return the same problem in other poses, with measurements predicted at ``state``.
 
     Args:
@@ -99,9 +99,9 @@ def spread(problem: Problem, state: State, covariance: FloatArray, at: FloatArra
 
     Args:
         covariance: (count, count) of the unknowns, m and rad.
-        at: poses as for :func:`predicted_rows`.
+        at: poses as for :func:`predict_rows`.
     """
-    drawn = predicted_rows(problem, state, at)
+    drawn = predict_rows(problem, state, at)
     found = drawn.residuals(state, np.zeros(problem.layout.count))
     values, axes = np.linalg.eigh(covariance)
     half = axes * np.sqrt(np.maximum(values, 0.0))

@@ -126,7 +126,7 @@ def scale_beyond_chance(fit: Fit) -> InputMistake | None:
     scale = found.state.scale / unit
     # If errors of the robot repeat with the pose, the interval is too narrow.
     bound = max(quantile * spread / unit, _LEAST_SCALE)
-    errors, others = _left_out(found), _left_out(fit)
+    errors, others = _leave_one_out_errors(found), _leave_one_out_errors(fit)
     nearer, compared = int(np.sum(errors < others)), len(errors)
     chance = binomtest(nearer, compared, alternative="greater").pvalue
     if abs(scale - 1.0) <= bound or chance > _CHANCE:
@@ -153,7 +153,7 @@ def _spread_of_scale(fit: Fit) -> float:
     return float(np.linalg.norm(right[:, at] / np.maximum(singular, 1e-300)))
 
 
-def _left_out(fit: Fit) -> FloatArray:
+def _leave_one_out_errors(fit: Fit) -> FloatArray:
     """(m,) leave-one-out position error of each observation, m."""
     left_out, residual = jackknife(fit).residuals[0][:, :3], fit.residuals[0][:, :3]
     return np.asarray(np.linalg.norm(np.where(np.isfinite(left_out), left_out, residual), axis=1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 
-from pytest_twin.checks.attribute_validation import checked
+from pytest_twin.checks.attribute_validation import validate_check
 from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.errors import SpecError
 from pytest_twin.installed import (
@@ -40,4 +40,4 @@ def check_of(kind: str) -> Check:
         )
         raise SpecError("unknown kind", where="kind", value=kind, expected=", ".join(kinds()))
     point = single_entry_point(points, "kind")
-    return checked(load_plugin(point, "kind"), kind, package_of(point))
+    return validate_check(load_plugin(point, "kind"), kind, package_of(point))

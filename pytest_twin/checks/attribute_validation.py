@@ -11,7 +11,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.units import SI_UNITS
 
 
-def checked(check: object, name: str, package: str) -> Check:
+def validate_check(check: object, name: str, package: str) -> Check:
     """Return the check of an entry point, after validating its class attributes.
 
     Args:

@@ -65,7 +65,7 @@ class Scene:
             } | set(stimulus.get("effort", {}))
             tied = {t for joint in driven for t in simulate.coupled_joints(realization, joint)}
             locked = set(realization.joints) - tied
-        self.model = simulate.prepared_model(
+        self.model = simulate.prepare_model(
             realization,
             gravity=stimulus.get("gravity", True),
             locked=sorted(locked),

@@ -149,7 +149,7 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
     if stimulus.get("others", "free") == "locked":
         tied = simulate.coupled_joints(realization, joint)
         locked = [name for name in realization.joints if name not in tied]
-    model = simulate.prepared_model(
+    model = simulate.prepare_model(
         realization,
         gravity=stimulus.get("gravity", True),
         contact=stimulus.get("contact", True),

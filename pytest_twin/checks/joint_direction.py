@@ -159,7 +159,7 @@ class JointDirection(Check):
             known_name(golden, f"{place}.frame", entry["frame"], structure.frame_body, "frame")
             base = entry.get("in", WORLD)
             known_name(golden, f"{place}.in", base, {WORLD, *structure.frame_body}, "frame")
-            directions[joint] = _displaced(realization, joint, entry, pose).tolist()
+            directions[joint] = _motion_direction(realization, joint, entry, pose).tolist()
             if "actuator" in entry:
                 actuator = known_name(
                     golden,
@@ -232,7 +232,7 @@ class JointDirection(Check):
                 continue
             motion = "rotation" if kind == "hinge" else "translation"
             entry: dict[str, Any] = {"frame": structure.joint_body[joint], motion: [0.0, 0.0, 0.0]}
-            direction = _displaced(realization, joint, entry, pose)
+            direction = _motion_direction(realization, joint, entry, pose)
             if not np.isfinite(direction).all():
                 continue
             entry[motion] = [round(float(value), 6) + 0.0 for value in direction]
@@ -262,7 +262,7 @@ def _drivers(structure: Structure, joint: str) -> str:
     return " or ".join(repr(name) for name in drivers) or "no actuator: nothing drives this joint"
 
 
-def _displaced(
+def _motion_direction(
     realization: Realization, joint: str, entry: Mapping[str, Any], pose: Pose
 ) -> FloatArray:
     """Return the (3,) unit direction in the declared frame; NaN if the frame does not move."""
@@ -308,7 +308,7 @@ def pulse(
 
     from pytest_twin.realization import simulate
 
-    model = simulate.prepared_model(realization, gravity=False)
+    model = simulate.prepare_model(realization, gravity=False)
     disable = mujoco.mjtDisableBit
     model.opt.disableflags |= int(
         disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT | disable.mjDSBL_FRICTIONLOSS

@@ -26,7 +26,12 @@ from pytest_twin.checks.fields import (
     spec_error,
     tolerance,
 )
-from pytest_twin.checks.limits_bench import fastest, pushed_past, servo_range, strongest
+from pytest_twin.checks.limits_bench import (
+    distances_past_stops,
+    highest_speed,
+    largest_effort,
+    servo_range,
+)
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SimulationError
 from pytest_twin.golden import Golden
@@ -165,8 +170,8 @@ class Limits(Check):
         for number, joint in enumerate(joints):
             place = f"target.joints.{joint}"
             known_name(golden, place, joint, kinds, "hinge or slide joint")
-            declared = _declared(golden, joint, kinds[joint])
-            found[joint] = {"type": kinds[joint]} | _observed(
+            declared = _declaration(golden, joint, kinds[joint])
+            found[joint] = {"type": kinds[joint]} | _observed_limits(
                 realization, joint, declared, duration, float(golden.stimulus.get("push", 1.0))
             )
             progress((number + 1) / len(joints))
@@ -178,7 +183,7 @@ class Limits(Check):
         """Compare every declared limit with the model's and with the result of the push."""
         measures: list[Measure] = []
         for joint, found in observation.values["joints"].items():
-            declared = _declared(golden, joint, found["type"])
+            declared = _declaration(golden, joint, found["type"])
             measures.extend(_compare_range(golden, joint, declared, found))
             measures.extend(_compare_effort(golden, joint, declared, found))
             measures.extend(_compare_velocity(golden, joint, declared, found))
@@ -194,7 +199,7 @@ class Limits(Check):
         groups: dict[float, dict[str, Any]] = {fraction: {} for fraction in _PUSHES}
         for joint in realization.joints:
             if structure.joint_type.get(joint) in POSITION_UNIT and (
-                entry := _stated(realization, joint)
+                entry := _stated_limits(realization, joint)
             ):
                 groups[self._holding(realization, joint, entry)][joint] = entry
         if not any(groups.values()):
@@ -271,7 +276,7 @@ class _Declared:
     effort: float | None
 
 
-def _declared(golden: Golden, joint: str, kind: str) -> _Declared:
+def _declaration(golden: Golden, joint: str, kind: str) -> _Declared:
     place = f"target.joints.{joint}"
     entry = golden.target["joints"][joint]
 
@@ -308,7 +313,7 @@ def _declared(golden: Golden, joint: str, kind: str) -> _Declared:
 # -- what the model states
 
 
-def _stated(realization: Realization, joint: str) -> dict[str, Any]:
+def _stated_limits(realization: Realization, joint: str) -> dict[str, Any]:
     """Return a declaration of one joint from the model and its source."""
     model = realization.model
     entry: dict[str, Any] = {}
@@ -331,7 +336,7 @@ def _stated(realization: Realization, joint: str) -> dict[str, Any]:
 # -- what commands and pushes reach
 
 
-def _observed(
+def _observed_limits(
     realization: Realization,
     joint: str,
     declared: _Declared,
@@ -346,14 +351,14 @@ def _observed(
     reached = None
     drivers = drivers_of(realization, joint)
     if drivers and (declared.effort is not None or declared.hard):
-        reached = strongest(realization, joint, drivers, duration)
+        reached = largest_effort(realization, joint, drivers, duration)
     if declared.effort is not None:
         found["effort_limit"], found["effort_reached"] = limit, reached
     if declared.velocity is not None:
         stated = realization.velocity_limit.get(joint)
         found["velocity_limit"] = stated
         if stated is None and drivers:
-            found["velocity_reached"] = fastest(realization, joint, drivers, duration)
+            found["velocity_reached"] = highest_speed(realization, joint, drivers, duration)
     if declared.hard and found["range"] is not None and fraction > 0.0:
         push = declared.effort
         if push is None and limit is not None:
@@ -361,7 +366,7 @@ def _observed(
         elif push is None and reached is not None:
             push = max(abs(end) for end in reached)
         if push is not None:
-            found["stop"] = pushed_past(
+            found["stop"] = distances_past_stops(
                 realization, joint, found["range"], fraction * push, duration
             )
     return found

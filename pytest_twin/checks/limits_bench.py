@@ -25,7 +25,7 @@ def _bench(realization: Realization, free: frozenset[str]) -> mujoco.MjModel:
     from pytest_twin.realization import simulate
 
     held = [joint for joint in realization.joints if joint not in free]
-    model = simulate.prepared_model(realization, gravity=False, locked=held)
+    model = simulate.prepare_model(realization, gravity=False, locked=held)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return model
 
@@ -53,7 +53,7 @@ def _start(
     )
 
 
-def _far(model: mujoco.MjModel, control: int, sign: float) -> float:
+def _saturating_command(model: mujoco.MjModel, control: int, sign: float) -> float:
     """Return a command far beyond the actuator's range, or far from zero without a range."""
     largest = 1.0
     if model.actuator_ctrllimited[control]:
@@ -73,10 +73,10 @@ def _command(
         i = realization.actuator_index(actuator)
         gear = float(model.actuator_gear[model.actuator_outadr[i], 0])
         control = int(model.actuator_ctrladr[i])
-        data.ctrl[control] = _far(model, control, sign * math.copysign(1.0, gear))
+        data.ctrl[control] = _saturating_command(model, control, sign * math.copysign(1.0, gear))
 
 
-def strongest(
+def largest_effort(
     realization: Realization, joint: str, drivers: list[str], duration: float
 ) -> list[float]:
     """Return smallest and largest generalized force of actuators on the held joint, N*m or N.
@@ -107,7 +107,9 @@ def strongest(
     return reached
 
 
-def fastest(realization: Realization, joint: str, drivers: list[str], duration: float) -> float:
+def highest_speed(
+    realization: Realization, joint: str, drivers: list[str], duration: float
+) -> float:
     """Return the largest speed under the strongest command over the range, rad/s or m/s."""
     import mujoco
 
@@ -135,7 +137,7 @@ def fastest(realization: Realization, joint: str, drivers: list[str], duration: 
     return greatest
 
 
-def pushed_past(
+def distances_past_stops(
     realization: Realization, joint: str, bounds: list[float], push: float, duration: float
 ) -> list[float]:
     """Return the distance beyond lower and upper stop under a push from rest, rad or m."""
@@ -168,7 +170,7 @@ def servo_range(realization: Realization, joint: str) -> list[float] | None:
 
     from pytest_twin.realization import simulate
 
-    model = simulate.prepared_model(realization)
+    model = simulate.prepare_model(realization)
     model.actuator_forcelimited[:] = 0
     model.jnt_actfrclimited[:] = 0
     for actuator in drivers_of(realization, joint):
@@ -205,5 +207,6 @@ def _aim(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> list[floa
     if slope == 0.0 or gear == 0.0:
         return None
     return sorted(
-        (low + (force(_far(model, control, sign)) - at) / slope) / gear for sign in (-1.0, 1.0)
+        (low + (force(_saturating_command(model, control, sign)) - at) / slope) / gear
+        for sign in (-1.0, 1.0)
     )

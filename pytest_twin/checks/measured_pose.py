@@ -12,7 +12,7 @@ from pytest_twin.checks.fields import spec_error
 from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
-    from pytest_twin.formats.sensor_messages import Stamped
+    from pytest_twin.formats.sensor_messages import StampedMessage
     from pytest_twin.realization import Realization
     from pytest_twin.replay import Replayed
 
@@ -64,7 +64,7 @@ def measured_and_predicted(
         ])  # fmt: skip
         found = replay.frame_poses(realization, qpos, golden.target["tcp"])
         if parent not in _WORLD:
-            found = _within(replay.frame_poses(realization, qpos, parent), found)
+            found = _relative_poses(replay.frame_poses(realization, qpos, parent), found)
         values = np.array([poses[k].values for k in inside])
         times.append(trial.offset + when[inside])
         predicted.append(found)
@@ -77,7 +77,7 @@ def measured_and_predicted(
     return np.concatenate(times), np.concatenate(predicted), np.concatenate(measured)
 
 
-def _poses(golden: Golden, results: Sequence[Replayed]) -> list[Stamped]:
+def _poses(golden: Golden, results: Sequence[Replayed]) -> list[StampedMessage]:
     from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
 
     topic, path = golden.target["tcp_topic"], results[0].trial.path
@@ -104,7 +104,7 @@ def _check_parent(golden: Golden, realization: Realization, parent: str) -> None
         )  # fmt: skip
 
 
-def _within(parent: FloatArray, child: FloatArray) -> FloatArray:
+def _relative_poses(parent: FloatArray, child: FloatArray) -> FloatArray:
     """Return (n, 7) poses of ``child`` in ``parent``, from both in the world."""
     from scipy.spatial.transform import Rotation
 

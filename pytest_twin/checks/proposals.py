@@ -127,7 +127,7 @@ def _limb(model: mujoco.MjModel, body: int) -> int:
     return first
 
 
-def listed(names: tuple[str, ...] | list[str], most: int = 6) -> str:
+def list_names(names: tuple[str, ...] | list[str], most: int = 6) -> str:
     """Join names for a sentence; at most ``most`` names."""
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

@@ -204,9 +204,11 @@ class Replay(Check):
 
     def trial(self, golden: Golden, realization: Realization) -> Trial:
         """Return the longest section of the recording, all joints at the same stamps."""
-        from pytest_twin.trial.common_stamps import on_one_base
+        from pytest_twin.trial.common_stamps import resample_to_common_stamps
 
-        return on_one_base(max(self.trials(golden, realization), key=lambda t: t.duration))
+        return resample_to_common_stamps(
+            max(self.trials(golden, realization), key=lambda t: t.duration)
+        )
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """Propose nothing: ``init`` itself proposes one for each given recording."""

@@ -12,8 +12,8 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.metrics.recorded_frequency import (
     compare_responses,
     recorded_response,
+    resample_uniformly,
     response_difference,
-    uniform,
 )
 from pytest_twin.metrics.residual import residual
 
@@ -74,7 +74,9 @@ def frequency(results: Sequence[Replayed], joint: str) -> dict[str, Any] | None:
         return None
     column = trial.joints.index(joint)
     command = trial.setpoint.at(trial.time)[:, trial.command_joints.index(joint)]
-    found = _even(trial.time, command, result.position[:, column], trial.position[:, column])
+    found = _resample_evenly(
+        trial.time, command, result.position[:, column], trial.position[:, column]
+    )
     if found is None:
         return None
     rate, (sent, ours, theirs) = found
@@ -93,7 +95,7 @@ def effort_frequency(results: Sequence[Replayed], joint: str) -> dict[str, Any] 
     column = trial.joints.index(joint)
     if trial.effort is None or not np.any(trial.effort[:, column] < 0.0):
         return None
-    found = _even(
+    found = _resample_evenly(
         trial.time, result.effort[:, column], result.position[:, column],
         trial.effort[:, column], trial.position[:, column],
     )  # fmt: skip
@@ -106,9 +108,11 @@ def effort_frequency(results: Sequence[Replayed], joint: str) -> dict[str, Any] 
     return None if apart is None else asdict(apart)
 
 
-def _even(time: FloatArray, *series: FloatArray) -> tuple[float, tuple[FloatArray, ...]] | None:
+def _resample_evenly(
+    time: FloatArray, *series: FloatArray
+) -> tuple[float, tuple[FloatArray, ...]] | None:
     """Return rate and series at equal intervals, where all are known; None if there are too few."""
     known = np.all(np.isfinite(series), axis=0)
     if known.sum() < 2 or np.any(np.diff(time[known]) < 0):
         return None
-    return uniform(time[known], *(one[known] for one in series))
+    return resample_uniformly(time[known], *(one[known] for one in series))

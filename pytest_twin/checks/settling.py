@@ -137,7 +137,7 @@ class Settling(Check):
             )
         duration = _positive(golden, "stimulus.duration", stimulus["duration"])
         pose = resolve_pose(golden, realization, stimulus.get("pose", REFERENCE), "stimulus.pose")
-        model = simulate.prepared_model(
+        model = simulate.prepare_model(
             realization,
             gravity=stimulus.get("gravity", True),
             contact=stimulus.get("contact", True),
@@ -202,7 +202,7 @@ class Settling(Check):
         values = observation.values
         measures = []
         if golden.expected is not None:
-            measures += _rest(golden, values, golden.expected)
+            measures += _compare_rest(golden, values, golden.expected)
             measures += scalar_measures(
                 golden,
                 {"settling_time": "s"},
@@ -271,7 +271,7 @@ def _joints(
     return final, np.column_stack(excess), columns
 
 
-def _rest(golden: Golden, now: Mapping[str, Any], then: Mapping[str, Any]) -> list[Measure]:
+def _compare_rest(golden: Golden, now: Mapping[str, Any], then: Mapping[str, Any]) -> list[Measure]:
     """Compare each joint's rest position with the record; NaN if only one has it."""
     measures = []
     for name in ("angle", "position"):

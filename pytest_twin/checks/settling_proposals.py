@@ -33,7 +33,7 @@ def first_specs(check: Check, realization: Realization) -> list[Mapping[str, Any
     notes += filter(None, (actuation.no_controller(realization), proposals.fixed_base(realization)))
     specs = []
     reasons = []
-    for propose in (_under_gravity, _beside_the_pose):
+    for propose in (_under_gravity, _return_from_displacement):
         try:
             specs.append(propose(check, realization, actuation, bench))
         except NothingToProposeError as error:
@@ -98,7 +98,7 @@ def _under_gravity(
             f"{len(actuation.held)} joints held by servos under gravity, the rest swinging"
         )
         spec["notes"] = [
-            f"No position servo holds {proposals.listed(actuation.loose)}: simulated for 0.3 s "
+            f"No position servo holds {proposals.list_names(actuation.loose)}: simulated for 0.3 s "
             "only, because a swinging motion amplifies rounding errors."
         ]
     else:
@@ -107,7 +107,7 @@ def _under_gravity(
     return {**spec, "tolerance": _bounds(_observed_values(check, spec, realization))}
 
 
-def _beside_the_pose(
+def _return_from_displacement(
     check: Check,
     realization: Realization,
     actuation: proposals.Actuation,

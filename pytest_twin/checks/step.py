@@ -224,8 +224,8 @@ class Step(Check):
                 notes.append(told)
             if light:
                 notes.append(
-                    f"Not tested by this step: the mass of {proposals.listed(light)} (less than "
-                    "0.4 % of the inertia about the joint). mass_properties tests it."
+                    f"Not tested by this step: the mass of {proposals.list_names(light)} (less "
+                    "than 0.4 % of the inertia about the joint). mass_properties tests it."
                 )
         return self._bounded(realization, spec, fraction, notes)
 

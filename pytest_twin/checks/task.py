@@ -274,7 +274,7 @@ def _function(golden: Golden, realization: Realization) -> Iterator[Callable[...
             stack.enter_context(_importable(path.parent))
             module = _load(path)
         else:
-            module = _installed(golden, field, place)
+            module = _installed_module(golden, field, place)
         found: Callable[..., Any] | None = getattr(module, name, None)
         if not callable(found):
             raise spec_error(
@@ -287,7 +287,7 @@ def _function(golden: Golden, realization: Realization) -> Iterator[Callable[...
         yield found
 
 
-def _installed(golden: Golden, field: str, place: str) -> ModuleType:
+def _installed_module(golden: Golden, field: str, place: str) -> ModuleType:
     expected = "an installed module, or a file ending in .py"
     if not _distributions(place):
         raise spec_error(

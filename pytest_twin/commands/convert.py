@@ -118,7 +118,7 @@ def convert_files(
     files = names_of(Path(out), len(recordings))
     written = []
     for file, recording in zip(files, recordings, strict=True):
-        series, notes = converted(recording, command_mode)
+        series, notes = convert_series(recording, command_mode)
         write_recording(file, list(series.values()), recording.metadata)
         written.append(_summary(file, recording, series, (*recording.notes, *notes)))
     return {"schema": 1, "written": written}
@@ -132,7 +132,7 @@ def names_of(out: Path, count: int) -> list[Path]:
     return [out.with_name(f"{out.stem}_{number:0{width}d}.mcap") for number in range(count)]
 
 
-def converted(
+def convert_series(
     recording: Recording, command_mode: str | None
 ) -> tuple[dict[str, JointSeries], list[str]]:
     """Return the series to write, and notes about assumptions.
@@ -149,7 +149,7 @@ def converted(
             "neither states nor commands", path=recording.path,
             expected=what_to_do(recording, "state"),
         )  # fmt: skip
-    notes = [_without(recording, role) for role in TOPICS if role not in recording.series]
+    notes = [_missing_role_note(recording, role) for role in TOPICS if role not in recording.series]
     series = dict(recording.series)
     command = series.get("command")
     if command is not None and _is_of_any_quantity(command):
@@ -180,7 +180,7 @@ def converted(
     }, notes
 
 
-def _without(recording: Recording, role: str) -> str:
+def _missing_role_note(recording: Recording, role: str) -> str:
     """Return a note that a role is missing, with candidate topics."""
     found = pairs(recording)
     return f"no {role}s" + (f"; to read them: {topics_option(*found[0])}" if found else "")

@@ -263,7 +263,7 @@ def diagnose_files(
     from pytest_twin.diagnosis.trace import Step, Trace
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
-    from pytest_twin.realization.mujoco_warnings import quiet
+    from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
     asked = DiagnosisRequest(**request)
@@ -286,7 +286,7 @@ def diagnose_files(
 
     if asked.answer_first:
         bound = min(FIRST_SECONDS, 0.2 * seconds) if seconds else FIRST_SECONDS
-        with quiet():
+        with suppress_mujoco_warnings():
             seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
         words = f"none within {bound:g} s" if seen is None else quick_diagnosis_in_words(seen)
         tell("line", f"first answer, from one recording: {words}")

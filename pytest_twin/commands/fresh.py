@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     dataset: Path = args.dataset
     found = stamps.read(dataset)
     root = stamps.twin_that_stamped(dataset, found) if args.twin is None else _root(args.twin)
-    stated = _released(dataset, found, root)
+    stated = _stamped_release(dataset, found, root)
     folder = release_folder(root, stated.number)
     with (
         tempfile.TemporaryDirectory(prefix="twin-") as scratch,
@@ -91,7 +91,7 @@ def _root(given: Path) -> Path:
     return root.absolute()
 
 
-def _released(dataset: Path, found: list[stamps.Stamped], root: Path) -> release.Release:
+def _stamped_release(dataset: Path, found: list[stamps.StampedFile], root: Path) -> release.Release:
     """Return the release of the stamp, after verifying the stamp."""
     verdicts = stamps.judge(found, stamps.keys_of(dataset, found, root / "keys"))
     for path, verdict in verdicts.items():

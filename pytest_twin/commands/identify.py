@@ -102,14 +102,14 @@ def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--length-unit",
         metavar="M",
-        type=positive,
+        type=positive_number,
         help="length of one unit of the .npz file in m (default: detected from the free fall at "
         "the start of the tosses, and reported)",
     )
     group.add_argument(
         "--rate",
         metavar="HZ",
-        type=positive,
+        type=positive_number,
         help="sampling rate of the .npz file in Hz (default: detected from displacements and "
         "velocities, and reported)",
     )
@@ -124,7 +124,7 @@ def parse_sensor(text: str) -> dict[str, str]:
     return {"name": name, "topic": topic, "frame": frame}
 
 
-def positive(text: str) -> float:
+def positive_number(text: str) -> float:
     """Parse a finite number greater than 0 of a command line."""
     try:
         value = float(text)
@@ -192,7 +192,7 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
     if "estimator" in document:
         lines.append(f"{document['estimator']['name']}: {document['estimator']['why']}")
     if wider := document.get("bootstrap", {}).get("wider"):
-        lines.append(f"intervals that a bootstrap over blocks has wider: {', '.join(wider)}")
+        lines.append(f"wider intervals by a bootstrap over blocks: {', '.join(wider)}")
     lines += [
         f"suspected: {one['what']}; to correct it: {one['mend']}"
         for one in document.get("suspected", ())

@@ -64,7 +64,7 @@ def _series(trial: Trial, names: tuple[str, ...], values: Replayed | Predicted) 
     )
 
 
-def joined(parts: Sequence[JointSeries], trials: Sequence[Trial]) -> JointSeries:
+def concatenate(parts: Sequence[JointSeries], trials: Sequence[Trial]) -> JointSeries:
     """Concatenate the predictions of all trials as one topic."""
     keep = [predicted_rows(trial) for trial in trials]
 

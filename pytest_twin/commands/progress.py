@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from pytest_twin.report.progress_log import EachMinute
+from pytest_twin.report.progress_log import ProgressLog
 from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ class Progress:
     def __init__(self, work: str, stages: Sequence[tuple[float, str]] = ()) -> None:
         self.work = work
         self._stages = stages
-        self._log = EachMinute(work)
+        self._log = ProgressLog(work)
         self._live: RichProgress | None = None
         self._done = 0.0
         self._state = ""
@@ -62,7 +62,7 @@ class Progress:
         self.work = work
         self._done = 0.0
         self._state = ""
-        self._log = EachMinute(work)
+        self._log = ProgressLog(work)
         if self._live is not None:
             self._live.reset(self._live.task_ids[0], description=work, total=1.0)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.recording import TOPICS, JointSeries, Recording, Topic
-from pytest_twin.formats.recordings.candidates import described, pairs, topics_option
+from pytest_twin.formats.recordings.candidates import describe, pairs, topics_option
 from pytest_twin.formats.ros_serialization import QUANTITIES, Integers
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import make_trials
@@ -156,7 +156,7 @@ def _missing_roles(recording: Recording) -> list[str]:
     options = [topics_option(*pair) for pair in pairs(recording)[:_PAIRS]]
     if options:
         return [f"{lacks} on the usual topics; try {' or '.join(options)}"]
-    known = [described(topic) for topic in recording.topics if topic.joints]
+    known = [describe(topic) for topic in recording.topics if topic.joints]
     if known:
         return [f"{lacks}, and no topic that could be; it has {'; '.join(known)}"]
     return [f"{lacks}: record them (ros2 bag record /joint_states and the controller's commands)"]
@@ -232,7 +232,7 @@ def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
     seconds = sum(trial["duration"] for trial in usable["trials"])
     lines.append(
         f"A diagnosis can use {seconds:.4g} s of it{in_parts}: "
-        f"{_listed(modes)} commands of {', '.join(usable['command_modes'])}, "
+        f"{_join_words(modes)} commands of {', '.join(usable['command_modes'])}, "
         f"{between['value']} between stamps ({between['source']})."
     )
     lines.append(f"next: pytest-twin diagnose MODEL {one['recording']} ... --out diagnosis")
@@ -252,7 +252,7 @@ def _series_lines(role: str, series: Mapping[str, Any]) -> list[str]:
     joints = "1 joint" if len(series["joints"]) == 1 else f"{len(series['joints'])} joints"
     text = f"{role}s: {series['messages']} messages of {joints}"
     text += "" if rate is None else f" at {rate:.4g} Hz"
-    text += f", {_listed(series['fields']) or 'no field'}"
+    text += f", {_join_words(series['fields']) or 'no field'}"
     if longest is not None:
         text += f", longest interval {longest['value']:.4g} s at {longest['at']:.4g} s"
     if series["gaps"]:
@@ -275,7 +275,7 @@ def _clock_lines(clock: Mapping[str, Any]) -> list[str]:
     return [f"clock: header stamps; log times come later by {text} (median)"]
 
 
-def _listed(words: Sequence[str]) -> str:
+def _join_words(words: Sequence[str]) -> str:
     """Join words: ``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.prediction import distances, joined, predict, predicted_positions
+from pytest_twin.commands.prediction import concatenate, distances, predict, predicted_positions
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -186,9 +186,9 @@ def replay_file(
     ideal, notes = predict(realization, loaded.patched, replayed, progress)
     encoders = encoders_of(realization.twin)
     parts = [as_encoders_read(part, encoders) for part in ideal]
-    predicted = joined(parts, replayed)
+    predicted = concatenate(parts, replayed)
     sensors, unread = compare_readings(
-        sensors_of(realization.twin), read.path, realization, joined(ideal, replayed),
+        sensors_of(realization.twin), read.path, realization, concatenate(ideal, replayed),
         topics["state"],
     )  # fmt: skip
     write_recording(Path(asked.out), [predicted], trials[0].metadata)
@@ -298,13 +298,13 @@ def _words(summary: Mapping[str, Any]) -> str:
             lines.append(f"  {joint:<{width}}  only one state: no comparison")
             continue
         lines.append(
-            f"  {joint:<{width}}  rms {_short(left['rms'])} {unit}, "
-            f"largest {_short(left['max'])} {unit} at {left['at']:.4g} s"
+            f"  {joint:<{width}}  rms {_shorten(left['rms'])} {unit}, "
+            f"largest {_shorten(left['max'])} {unit} at {left['at']:.4g} s"
         )
     for name, one in summary["sensors"].items():
         channels = (
-            f"{axis} {_short(one['rms'][axis])} {unit} (an ideal sensor "
-            f"{_short(one['rms_ideal'][axis])})"
+            f"{axis} {_shorten(one['rms'][axis])} {unit} (an ideal sensor "
+            f"{_shorten(one['rms_ideal'][axis])})"
             for axis, unit in one["unit"].items()
         )
         lines.append(f"  {name}: rms {', '.join(channels)}")
@@ -321,5 +321,5 @@ def _words(summary: Mapping[str, Any]) -> str:
     return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)
 
 
-def _short(value: float) -> str:
+def _shorten(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else str(value)

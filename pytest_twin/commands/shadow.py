@@ -17,7 +17,7 @@ from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.provenance.released_files import authentic_now, copy_release
+from pytest_twin.provenance.released_files import copy_release, read_authentic_now
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, Twin, load_twin
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             expected="residual: or update:; pytest --twin-release releases a changed model",
         )
     folder = release_folder(args.release)
-    release = authentic_now(folder)
+    release = read_authentic_now(folder)
     root = folder.absolute().parent.parent
     with (
         tempfile.TemporaryDirectory(prefix="twin-") as scratch,

@@ -13,7 +13,7 @@ from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
 from pytest_twin.formats.stamps import is_carrier
 from pytest_twin.release import stamps
-from pytest_twin.release.envelope import short
+from pytest_twin.release.envelope import short_key_id
 from pytest_twin.release.folder import RELEASES
 from pytest_twin.release.stamp import StampVerdict
 from pytest_twin.release.verify import ENVELOPE
@@ -132,7 +132,7 @@ def _words(verdict: release.Verdict, folder: Path) -> str:
         lines = [f"holds: {name}" if verdict.holds else f"does not hold: {name}"]
         lines.append(
             f"  made {header.created}, valid until {header.expires}, "
-            f"signed by {short(header.key_id)}"
+            f"signed by {short_key_id(header.key_id)}"
         )
         if verdict.holds:
             outside = len(found.external)

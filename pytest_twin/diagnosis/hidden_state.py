@@ -21,7 +21,7 @@ from pytest_twin.realization.first_state import (
     settle_under_load,
 )
 from pytest_twin.realization.inputs import command_input
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.trial import CommandMode
 from pytest_twin.trial.setpoint import Setpoint
 
@@ -102,7 +102,7 @@ class HiddenState:
         data.ctrl[:] = self._sent.value[0]
         settle_under_load(model, data)
         out, since = [], 0
-        with quiet():
+        with suppress_mujoco_warnings():
             for until in steps.tolist():
                 for k in range(since, until):
                     self._put(q[k], v[k])

@@ -14,7 +14,7 @@ from pytest_twin.errors import RecordingError, TwinError
 from pytest_twin.formats.recording import Recording
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
-from pytest_twin.trial.common_stamps import on_one_base
+from pytest_twin.trial.common_stamps import resample_to_common_stamps
 from pytest_twin.trial.roles import refuse_final
 
 
@@ -72,7 +72,9 @@ def read_trials(
                 if isinstance(read, TwinError):
                     raise read
                 refuse_final(read.metadata, read.path, "a diagnosis")
-                parts = [on_one_base(t) for t in make_trials(read, structure, options)]
+                parts = [
+                    resample_to_common_stamps(t) for t in make_trials(read, structure, options)
+                ]
             except TwinError as error:
                 first_error = first_error or error
                 notes.append(f"left out: {error}")

@@ -25,7 +25,7 @@ from pytest_twin.effects.memory_warmup import WARM_UP_TIME
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.mjcf import compiled
+from pytest_twin.realization.mjcf import compile_spec
 from pytest_twin.trial import Trial
 
 WINDOW = 0.5
@@ -287,7 +287,7 @@ def _model(realization: Realization, trial: Trial) -> mujoco.MjModel:
             # MuJoCo's simplification for bodies that rotate about their centre of mass is not valid
             # under effects that move this centre.
             body.simple = 0
-        known[tuple(chosen)] = compiled(spec)[0]
+        known[tuple(chosen)] = compile_spec(spec)[0]
     return known[tuple(chosen)]
 
 

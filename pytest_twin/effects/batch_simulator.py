@@ -51,7 +51,7 @@ from pytest_twin.effects.simulation_cache import SimulationCache, row_keys
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
 Result = TypeVar("Result")
 Motion = tuple[FloatArray, FloatArray, FloatArray]
@@ -279,7 +279,7 @@ class BatchSimulator:
         gear_effects = hooks_between_steps(effects)["gear"]
         if not gear_effects:
             return np.zeros((len(rows), len(self.joints)))
-        with quiet():
+        with suppress_mujoco_warnings():
             gear = build_transmission(self.prepare_batch(rows, effects).world, gear_effects)
         return np.where(gear.is_elastic, gear.deflection(load), 0.0)
 
@@ -412,7 +412,7 @@ class BatchSimulator:
         commands = self.commands(rows, effects, steps)
         hooks = hooks_between_steps(effects)
         added = self._forces_at_steps(rows, steps)
-        with quiet():
+        with suppress_mujoco_warnings():
             prepared = self.prepare_batch(rows, effects)
             if any(hooks.values()) or self.layout.is_unactuated.any() or added is not None:
                 self._set_initial_state(prepared, rows, effects, hooks)

@@ -280,7 +280,7 @@ class Design:
         return float(_SPARE_WEIGHT * (short**2).sum()), by
 
 
-def _used(
+def _limit_shares(
     own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: ApprovedLimits
 ) -> FloatArray:
     """Return (4, n, j) shares of limits: position above and below, speed, acceleration."""
@@ -299,14 +299,14 @@ def _most_used(
     own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: ApprovedLimits
 ) -> FloatArray:
     """Return the (j,) largest share of a limit."""
-    return np.asarray(_used(own, z, up, down, approved).max(axis=(0, 1)))
+    return np.asarray(_limit_shares(own, z, up, down, approved).max(axis=(0, 1)))
 
 
 def _smooth_used(
     own: Series, z: FloatArray, up: FloatArray, down: FloatArray, approved: ApprovedLimits
 ) -> tuple[FloatArray, FloatArray]:
     """Return a (j,) smooth upper bound of the largest share, and its derivative (j, m) by z."""
-    shares = _used(own, z, up, down, approved)
+    shares = _limit_shares(own, z, up, down, approved)
     most = shares.max(axis=(0, 1))
     powers = (shares / most) ** _SHARPNESS
     total = powers.sum(axis=(0, 1))

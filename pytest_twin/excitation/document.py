@@ -54,7 +54,7 @@ def document_of(found: Excitation, written: Mapping[str, Sequence[str]]) -> dict
         "closed_loop": _closed_loop(found),
         "mechanisms": list(approved.mechanisms),
         "trajectories": [_trajectory(one, written) for one in found.safe],
-        "refused": [_refused(one) for one in found.refused],
+        "refused": [_refusal(one) for one in found.refused],
         "noise": _noise(found),
         "predicted": [_parameter(one) for one in found.predicted],
         "covariance": _summary(found),
@@ -171,7 +171,7 @@ def _trajectory(one: SafeMotion, written: Mapping[str, Sequence[str]]) -> dict[s
     }
 
 
-def _refused(one: RejectedDesign) -> dict[str, Any]:
+def _refusal(one: RejectedDesign) -> dict[str, Any]:
     return {
         "name": one.design.name,
         "kind": one.design.kind,

@@ -74,7 +74,7 @@ def missing_template(
     Args:
         model: MJCF, URDF or ``twin.yaml``.
     """
-    realization, twin = _loaded(Path(model), SearchFolders.of(roots, packages))
+    realization, twin = _load(Path(model), SearchFolders.of(roots, packages))
     section = {} if twin is None else twin.excitation or {}
     missing = missing_lines(section, movable_joints(realization))
     if not missing:
@@ -101,13 +101,13 @@ def excite_file(
             ``drawn``, series over time for the page.
     """
     path = Path(model)
-    realization, twin = _loaded(path, SearchFolders.of(roots, packages))
+    realization, twin = _load(path, SearchFolders.of(roots, packages))
     if twin is None:
         raise missing_error(path, missing_lines({}, movable_joints(realization)), None)
-    return written(excite(realization, twin, seed, solver, progress), path, Path(out))
+    return write_motions(excite(realization, twin, seed, solver, progress), path, Path(out))
 
 
-def written(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:
+def write_motions(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:
     """Write the motions and return their document, as for :func:`excite_file`."""
     document = document_of(found, _write(found, out))
     document["model"] = {
@@ -159,14 +159,14 @@ def excite(
     }
     safe, refused = find_safe(designs, approved, robots, progress)
     carrier = _carrier(twin, realization, regressor)
-    predicted = _predicted(safe, approved, noise, regressor, base, robots, carrier)
+    predicted = _predict_accuracies(safe, approved, noise, regressor, base, robots, carrier)
     return Excitation(
         realization, approved, noise, regressor, base, tuple(safe), tuple(refused),
         tuple(predicted), seed, solver,
     )  # fmt: skip
 
 
-def _loaded(path: Path, search: SearchFolders | None) -> tuple[Realization, Twin | None]:
+def _load(path: Path, search: SearchFolders | None) -> tuple[Realization, Twin | None]:
     if path.suffix.lower() not in (".yaml", ".yml"):
         return load(path, search=search), None
     twin = load_twin(path)
@@ -211,7 +211,7 @@ def _refuse_unsafe_start(
             )  # fmt: skip
 
 
-def _predicted(
+def _predict_accuracies(
     safe: Sequence[SafeMotion],
     approved: ApprovedLimits,
     noise: Noise,

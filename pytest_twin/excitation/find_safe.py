@@ -9,7 +9,7 @@ from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.clearance import ClearanceChecker
 from pytest_twin.excitation.closed_loop import WORSE, ClosedLoop, Response
 from pytest_twin.excitation.motion import Design, Motion
-from pytest_twin.excitation.safety import Verdict, commanded, reasons, simulated
+from pytest_twin.excitation.safety import Verdict, check_commands, check_simulation, reasons
 from pytest_twin.realization.model import Realization
 
 _FIRST_SCALES = (1.0, 0.9, 0.75, 0.6)
@@ -93,12 +93,12 @@ def find_safe(
         for at in open_:
             scale, seed = attempts[at][round_]
             motion = designs[at].motion(scale, seed)
-            verdict = commanded(motion, approved, robots[motion.payload].around)
+            verdict = check_commands(motion, approved, robots[motion.payload].around)
             if verdict.is_safe:
                 tried[at] = (motion, verdict)
             else:
                 broken[at] = (round_ + 1, tuple(reasons([verdict])))
-        for at, one in _simulated(tried, approved, robots).items():
+        for at, one in _simulate_and_check(tried, approved, robots).items():
             if one.verdict.is_safe:
                 safe[at] = one
             else:
@@ -112,7 +112,7 @@ def find_safe(
     return [safe[at] for at in sorted(safe)], refused
 
 
-def _simulated(
+def _simulate_and_check(
     tried: Mapping[int, tuple[Motion, Verdict]],
     approved: ApprovedLimits,
     robots: Mapping[str | None, Robot],
@@ -125,7 +125,7 @@ def _simulated(
         motions = [tried[at][0] for at in own]
         nominal, worse = (one.responses(motions) for one in (robot.nominal, robot.worse))
         for at, motion, first, second in zip(own, motions, nominal, worse, strict=True):
-            verdict = simulated(motion, approved, robot.around, first, second)
+            verdict = check_simulation(motion, approved, robot.around, first, second)
             kept = (*tried[at][1].kept, *verdict.kept)
             found[at] = SafeMotion(motion, Verdict(kept, verdict.tracking), first)
     return found

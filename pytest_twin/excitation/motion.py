@@ -189,9 +189,9 @@ class Path:
             end = blends[at + 1][0] if at + 1 < len(blends) else max(now, count / self._rate)
             inside = (time > begin) & (time <= end + 1e-12)
             own = time[inside] - begin
-            x[inside], v[inside], a[inside] = _blended(own, blend, before, after)
+            x[inside], v[inside], a[inside] = _blend(own, blend, before, after)
             x[inside] += place
-            place += float(_blended(np.array([end - begin]), blend, before, after)[0][0])
+            place += float(_blend(np.array([end - begin]), blend, before, after)[0][0])
         states = [np.zeros((count, len(self._at))) for _ in range(3)]
         states[0][:] = self._at
         states[0][:, joint] += x
@@ -226,7 +226,7 @@ class Path:
             self.samples += len(position)
 
 
-def _blended(
+def _blend(
     time: FloatArray, blend: float, before: float, after: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Position, velocity and acceleration while the speed changes by a raised cosine, and after."""

@@ -76,7 +76,7 @@ class Verdict:
         return max(own, key=lambda one: one.share) if own else None
 
 
-def commanded(motion: Motion, approved: ApprovedLimits, around: ClearanceChecker) -> Verdict:
+def check_commands(motion: Motion, approved: ApprovedLimits, around: ClearanceChecker) -> Verdict:
     """Check the commands, with derivatives by differences of the sent values."""
     lower, upper = approved.room
     rate = approved.rate
@@ -95,7 +95,7 @@ def commanded(motion: Motion, approved: ApprovedLimits, around: ClearanceChecker
     return Verdict(tuple(kept))
 
 
-def simulated(
+def check_simulation(
     motion: Motion,
     approved: ApprovedLimits,
     around: ClearanceChecker,

@@ -63,11 +63,13 @@ def _of_joints(realization: Realization, missing: Sequence[str]) -> list[str]:
     lines.append("  joints:")
     for joint, fields in of_joint.items():
         lines.append(f"    {_text(joint)}:")
-        lines += [f"      {field}:   # {_allowed(realization, joint, field)}" for field in fields]
+        lines += [
+            f"      {field}:   # {_model_limit(realization, joint, field)}" for field in fields
+        ]
     return lines
 
 
-def _allowed(realization: Realization, joint: str, field: str) -> str:
+def _model_limit(realization: Realization, joint: str, field: str) -> str:
     index = realization.joint_index(joint)
     slide = int(realization.model.jnt_type[index]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
     unit, effort_unit = ("m", "N") if slide else ("rad", "N*m")

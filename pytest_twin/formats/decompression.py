@@ -20,7 +20,7 @@ _BLOCK_BYTES = 4 * 2**20
 """Number of bytes that are decompressed at once."""
 
 
-def unpacked_messages(
+def decompress_messages(
     region: Region, rows: Integers, bytes_left: int, path: Path, topic: str
 ) -> Region:
     """Decompress messages that are Zstandard frames; a damaged one becomes an empty message.
@@ -71,7 +71,7 @@ def unpacked_messages(
 
 
 @contextlib.contextmanager
-def unpacked_file(stream: BinaryIO, path: Path) -> Iterator[BinaryIO]:
+def decompressed_file(stream: BinaryIO, path: Path) -> Iterator[BinaryIO]:
     """Decompress a Zstandard file into a temporary file, which is deleted after the block.
 
     Args:

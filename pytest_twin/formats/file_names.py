@@ -36,7 +36,7 @@ def portable_names(names: Iterable[str]) -> dict[str, str]:
         if not _is_valid(name):
             digits[name] = _DIGEST_LENGTHS[0]
     while True:
-        found = {name: _spelled(name, length) for name, length in digits.items()}
+        found = {name: _portable_name(name, length) for name, length in digits.items()}
         users = Counter(file_name.casefold() for file_name in found.values())
         shared = [name for name, file_name in found.items() if users[file_name.casefold()] > 1]
         if not shared:
@@ -106,7 +106,7 @@ def _is_valid(name: str) -> bool:
     )
 
 
-def _spelled(name: str, digest_length: int) -> str:
+def _portable_name(name: str, digest_length: int) -> str:
     if not digest_length:
         return name
     digest = _digest(name, digest_length)

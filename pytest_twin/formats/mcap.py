@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats.atomic import open_replacement
 from pytest_twin.formats.bag import Contents
-from pytest_twin.formats.decompression import ZSTD_MAGIC, unpacked_file
+from pytest_twin.formats.decompression import ZSTD_MAGIC, decompressed_file
 from pytest_twin.formats.joint_state import SCHEMA_NAME, SCHEMA_TEXT, encode_cdr
 from pytest_twin.formats.mcap_walk import walk
 from pytest_twin.formats.message_collector import MessageCollector
@@ -62,7 +62,7 @@ def gather_mcap(path: Path, collector: MessageCollector) -> None:
             magic = stream.read(4)
             stream.seek(0)
             if magic == ZSTD_MAGIC:
-                with unpacked_file(stream, path) as unpacked:
+                with decompressed_file(stream, path) as unpacked:
                     _gather(unpacked, path, contents, collector)
             else:
                 _gather(stream, path, contents, collector)
@@ -132,7 +132,7 @@ def _messages(series: Sequence[JointSeries]) -> Iterator[tuple[int, int, bytes]]
     log_time = np.concatenate([one.log_time for one in series] or [np.zeros(0, int)])
     order = np.argsort(log_time, kind="stable")
     encoded: dict[tuple[str, ...], bytes] = {}
-    carried = [_carried(one) for one in series]
+    carried = [_has_value(one) for one in series]
     for index, at in zip(owner[order].tolist(), row[order].tolist(), strict=True):
         one, named = series[index], carried[index][at]
         names, keep = one.names, slice(None)
@@ -147,7 +147,7 @@ def _messages(series: Sequence[JointSeries]) -> Iterator[tuple[int, int, bytes]]
         yield index, int(one.log_time[at]), encode_cdr(names, int(one.stamp[at]), values, encoded)
 
 
-def _carried(one: JointSeries) -> NDArray[np.bool_]:
+def _has_value(one: JointSeries) -> NDArray[np.bool_]:
     """Return for which joints each message has a value, as (n, j) booleans."""
     found = np.zeros((len(one.stamp), len(one.names)), dtype=bool)
     for name in QUANTITIES:

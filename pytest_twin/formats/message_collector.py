@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats.bag import Channel, Contents, Region
-from pytest_twin.formats.decompression import unpacked_messages
+from pytest_twin.formats.decompression import decompress_messages
 from pytest_twin.formats.joint_state import SCHEMA_NAME
 from pytest_twin.formats.message_types import (
     TRAJECTORIES,
@@ -184,7 +184,7 @@ def _first(
         return None
     try:
         if TopicReader.packed(region, rows):
-            region = unpacked_messages(region, rows, _LOOK_BYTES, path, channel.topic)
+            region = decompress_messages(region, rows, _LOOK_BYTES, path, channel.topic)
             rows = np.zeros(1, np.int64)
         start, size = region.start[rows], region.size[rows]
         if channel.encoding == "json":

@@ -99,18 +99,18 @@ def _as_spec_error(error: ValidationError, document: Document, path: Path) -> Sp
     elif kind == "required":
         missing = [name for name in bound if name not in value]
         problem, shown = f"field {missing[0]!r} is missing", None
-        expected = _about(schema.get("properties", {}).get(missing[0]))
+        expected = _description(schema.get("properties", {}).get(missing[0]))
     elif kind in ("enum", "const"):
         allowed = list(bound) if kind == "enum" else [bound]
-        problem, shown = "is not one of the allowed values", _plain(value)
+        problem, shown = "is not one of the allowed values", _scalar_or_none(value)
         words = [str(item) for item in allowed]
-        expected = _closest(value, words) if isinstance(value, str) else _listed(words)
+        expected = _closest(value, words) if isinstance(value, str) else _join_words(words)
     elif kind == "type":
         names = [bound] if isinstance(bound, str) else list(bound)
         problem = f"is {_kind_of(value)}"
         expected = " or ".join(_TYPE_WORDS.get(name, name) for name in names)
         if "examples" in schema:
-            expected = _about(schema) or expected
+            expected = _description(schema) or expected
     elif kind in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum"):
         small = "inimum" in kind
         problem = "is too small" if small else "is too large"
@@ -123,14 +123,14 @@ def _as_spec_error(error: ValidationError, document: Document, path: Path) -> Sp
         expected = f"at {'least' if kind == 'minLength' else 'most'} {bound} characters"
     elif kind == "pattern":
         problem = "has the wrong form"
-        expected = _about(schema) or f"text like {bound}"
+        expected = _description(schema) or f"text like {bound}"
     elif kind == "uniqueItems":
         problem, shown, expected = "contains a value twice", None, "each value once"
     elif kind in ("anyOf", "oneOf"):
-        problem, expected = "has none of the allowed forms", _about(schema)
+        problem, expected = "has none of the allowed forms", _description(schema)
         if expected is None:
             expected = (
-                " or ".join(dict.fromkeys(filter(None, (_about(branch) for branch in bound))))
+                " or ".join(dict.fromkeys(filter(None, (_description(branch) for branch in bound))))
                 or None
             )
     elif kind == "dependentRequired":
@@ -147,14 +147,14 @@ def _as_spec_error(error: ValidationError, document: Document, path: Path) -> Sp
     )
 
 
-def _about(schema: object) -> str | None:
+def _description(schema: object) -> str | None:
     if not isinstance(schema, Mapping):
         return None
     if isinstance(schema.get("description"), str):
         text: str = schema["description"]
         return text.rstrip(".")
     if "enum" in schema:
-        return _listed([str(item) for item in schema["enum"]])
+        return _join_words([str(item) for item in schema["enum"]])
     if "const" in schema:
         return str(schema["const"])
     kinds = schema.get("type")
@@ -169,17 +169,17 @@ def _closest(name: str, known: list[str], most: int = 12) -> str:
     if not known:
         return "no fields here"
     near = difflib.get_close_matches(name[:100], known, n=1)
-    return _listed(known, most) + (f"; did you mean {near[0]!r}?" if near else "")
+    return _join_words(known, most) + (f"; did you mean {near[0]!r}?" if near else "")
 
 
-def _listed(words: list[str], most: int = 12) -> str:
+def _join_words(words: list[str], most: int = 12) -> str:
     if len(words) == 1:
         return words[0]
     shown = ", ".join(words[:most])
     return f"one of {shown}" + (f" and {len(words) - most} more" if len(words) > most else "")
 
 
-def _plain(value: object) -> object:
+def _scalar_or_none(value: object) -> object:
     return value if isinstance(value, str | int | float) else None
 
 

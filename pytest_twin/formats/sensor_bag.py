@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.errors import FormatError, RecordingError
 from pytest_twin.formats.bag import Channel, Contents, Region
-from pytest_twin.formats.decompression import unpacked_messages
+from pytest_twin.formats.decompression import decompress_messages
 from pytest_twin.formats.limits import MCAP
 from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.message_types import long_name
@@ -22,7 +22,7 @@ from pytest_twin.formats.sensor_messages import (
     POSES,
     TRANSFORMS,
     Picture,
-    Stamped,
+    StampedMessage,
     picture_of,
     poses_of,
     stamp_of,
@@ -57,7 +57,7 @@ class SensorCollector(MessageCollector):
     state: Mapping[str, str]
     wanted: Mapping[str, frozenset[int]] = field(default_factory=dict)
     picture: Callable[[str, int, Picture], None] | None = None
-    poses: dict[str, list[Stamped]] = field(default_factory=dict)
+    poses: dict[str, list[StampedMessage]] = field(default_factory=dict)
     readings: dict[str, list[Reading]] = field(default_factory=dict)
     reading_type: dict[str, str] = field(default_factory=dict)
     stamps: dict[str, list[int]] = field(default_factory=dict)
@@ -92,7 +92,7 @@ class SensorCollector(MessageCollector):
             )  # fmt: skip
         encoding: Encoding = "ros1" if channel.encoding == "ros1" else "cdr"
         if TopicReader.packed(region, rows):
-            region = unpacked_messages(
+            region = decompress_messages(
                 region, rows, MCAP.uncompressed_bytes, self.path, channel.topic
             )
             rows = np.arange(len(rows))

@@ -27,7 +27,7 @@ _LUMA = np.array([0.299, 0.587, 0.114])
 
 
 @dataclass(frozen=True)
-class Stamped:
+class StampedMessage:
     """A pose with its stamp.
 
     Attributes:
@@ -57,7 +57,7 @@ class Picture:
     file: bytes = b""
 
 
-def poses_of(message: bytes, kind: str, encoding: Encoding) -> list[Stamped]:
+def poses_of(message: bytes, kind: str, encoding: Encoding) -> list[StampedMessage]:
     """Return the poses in one message of a type in ``POSES`` or ``TRANSFORMS``.
 
     Raises:
@@ -68,8 +68,8 @@ def poses_of(message: bytes, kind: str, encoding: Encoding) -> list[Stamped]:
         count = cursor.count("transforms")
         if count > MOST_TRANSFORMS:
             raise MessageError(f"{count} transforms, more than {MOST_TRANSFORMS}")
-        return [_stamped(cursor, named=True) for _ in range(count)]
-    return [_stamped(cursor, named=kind.endswith("TransformStamped"))]
+        return [_stamped_message(cursor, named=True) for _ in range(count)]
+    return [_stamped_message(cursor, named=kind.endswith("TransformStamped"))]
 
 
 def picture_of(message: bytes, kind: str, encoding: Encoding) -> Picture:
@@ -118,14 +118,14 @@ def _header(cursor: Cursor) -> tuple[int, str]:
     return second * 1_000_000_000 + nanosecond, cursor.text("header.frame_id")
 
 
-def _stamped(cursor: Cursor, *, named: bool) -> Stamped:
+def _stamped_message(cursor: Cursor, *, named: bool) -> StampedMessage:
     stamp, parent = _header(cursor)
     child = cursor.text("child_frame_id") if named else ""
     first = cursor.skip(56, "a pose", 8)
     values = np.array(struct.unpack_from(cursor.order + "7d", cursor.message, first))
     if not np.isfinite(values).all() or abs(np.linalg.norm(values[3:]) - 1.0) > 0.02:
         raise MessageError("a pose without a quaternion of length 1")
-    return Stamped(stamp, parent.lstrip("/"), child.lstrip("/"), values)
+    return StampedMessage(stamp, parent.lstrip("/"), child.lstrip("/"), values)
 
 
 def _bytes(cursor: Cursor) -> bytes:

@@ -49,8 +49,8 @@ def sensor_fields(name: str, one: Mapping[str, Any]) -> SensorFields:
     """Read one sensor.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: the fields are not
-        what ``pytest-twin identify`` writes.
+        ValueError, KeyError, TypeError, AttributeError: the fields are not what
+            ``pytest-twin identify`` writes.
     """
     kind = text(one["kind"])
     topic, frame = text(one["topic"]), text(one["frame"])

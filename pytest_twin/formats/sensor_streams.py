@@ -59,7 +59,7 @@ def read_streams(path: Path, asked: Sequence[tuple[str, str | None, str]]) -> li
             stamps = np.array([one.stamp for one in readings], dtype=np.int64)
             found.append((topic, stamps, np.linalg.norm(table, axis=1)))
         elif bag.poses.get(topic):
-            found.append((topic, *_turning(bag, topic)))
+            found.append((topic, *_angular_speed(bag, topic)))
         else:
             known = sorted({*bag.poses, *bag.readings, *(t.name for t in bag.topics.values())})
             raise RecordingError(
@@ -105,7 +105,7 @@ def _of_joint(
     return series.stamp[rows], np.asarray(np.abs(slope))
 
 
-def _turning(bag: SensorCollector, topic: str) -> tuple[Integers, FloatArray]:
+def _angular_speed(bag: SensorCollector, topic: str) -> tuple[Integers, FloatArray]:
     """Return the angular speed by central differences of the poses, which have no delay."""
     stamps = np.array([one.stamp for one in bag.poses[topic]], dtype=np.int64)
     _, rows = np.unique(stamps, return_index=True)

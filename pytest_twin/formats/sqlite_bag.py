@@ -19,7 +19,7 @@ import numpy as np
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Contents, Region, Schema
-from pytest_twin.formats.decompression import ZSTD_MAGIC, unpacked_file
+from pytest_twin.formats.decompression import ZSTD_MAGIC, decompressed_file
 from pytest_twin.formats.message_collector import MessageCollector
 from pytest_twin.formats.paths import open_regular
 
@@ -74,7 +74,7 @@ def gather_sqlite(path: Path, collector: MessageCollector) -> None:
         stream.seek(0)
         magic = stream.read(len(MAGIC))
         if magic[:4] == ZSTD_MAGIC:
-            with unpacked_file(stream, path) as unpacked:
+            with decompressed_file(stream, path) as unpacked:
                 _Database(Path(unpacked.name), path, contents, collector).read()
             return
     if magic != MAGIC:

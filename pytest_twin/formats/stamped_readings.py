@@ -15,7 +15,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.json_fields import object_of, stamp_of
 from pytest_twin.formats.ros_serialization import Cursor, Encoding, MessageError
-from pytest_twin.formats.sensor_messages import Stamped
+from pytest_twin.formats.sensor_messages import StampedMessage
 
 WRENCH, IMU = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/Imu"
 READINGS = (WRENCH, IMU)
@@ -82,7 +82,7 @@ def reading_of_json(message: bytes, kind: str) -> Reading:
     return Reading(stamp_of(header)[0], _frame(header), _finite(np.array(values)))
 
 
-def pose_of_json(message: bytes) -> Stamped:
+def pose_of_json(message: bytes) -> StampedMessage:
     """Return the pose in one JSON message with the fields of a ``PoseStamped``.
 
     Raises:
@@ -98,7 +98,7 @@ def pose_of_json(message: bytes) -> Stamped:
     if abs(np.linalg.norm(checked[3:]) - 1.0) > 0.02:
         raise MessageError("a pose without a quaternion of length 1")
     header = found.get("header")
-    return Stamped(stamp_of(header)[0], _frame(header), "", checked)
+    return StampedMessage(stamp_of(header)[0], _frame(header), "", checked)
 
 
 def _doubles(cursor: Cursor, count: int, what: str) -> FloatArray:

@@ -11,7 +11,7 @@ from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Region
 from pytest_twin.formats.batches import named_joints, note_not_finite, table_of
-from pytest_twin.formats.decompression import ZSTD_MAGIC, unpacked_messages
+from pytest_twin.formats.decompression import ZSTD_MAGIC, decompress_messages
 from pytest_twin.formats.message_types import (
     ANY_QUANTITY,
     TRAJECTORIES,
@@ -29,7 +29,7 @@ from pytest_twin.formats.ros_serialization import (
     Integers,
     MessageError,
 )
-from pytest_twin.formats.trajectory import replaced
+from pytest_twin.formats.trajectory import follow_trajectories
 
 
 @dataclass
@@ -101,7 +101,7 @@ class TopicReader:
 
     def _unpack(self, region: Region, rows: Integers) -> Region:
         left = limits.MCAP.uncompressed_bytes - self.unpacked_bytes
-        found = unpacked_messages(region, rows, left, self.path, self.topic)
+        found = decompress_messages(region, rows, left, self.path, self.topic)
         self.unpacked_bytes += len(found.data)
         return found
 
@@ -238,7 +238,7 @@ class TopicReader:
         by_start = np.argsort(start, kind="stable")
         start, log_time, after = start[by_start], log_time[by_start], after[by_start]
         tables = {q: None if t is None else t[by_start] for q, t in tables.items()}
-        rows, time, tables = replaced(start, start + after, tables)
+        rows, time, tables = follow_trajectories(start, start + after, tables)
         if not (stamp == 0).any():
             return time, log_time[rows] + (time - start[rows]), tables
         self.remarks.add(

@@ -2,8 +2,7 @@
 
 A heading has a name and a unit, ``position:elbow [rad]``. In the name, reserved characters (``,``
 ``"`` ``[`` ``]`` ``%`` and control characters) are written as ``%`` and two hex digits for each
-byte
-of their UTF-8 form, as in URLs: ``position:finger%5B1%5D [rad]``.
+byte of their UTF-8 form, as in URLs: ``position:finger%5B1%5D [rad]``.
 """
 
 from __future__ import annotations
@@ -124,7 +123,7 @@ def trace_text(trace: Trace) -> str:
                 unit=unit,
                 expected="finite numbers; the simulation may have diverged",
             )
-    header = ",".join(f"{_escaped(name)} [{unit}]" for name, unit, _ in named)
+    header = ",".join(f"{_escape(name)} [{unit}]" for name, unit, _ in named)
     table = [[float.__repr__(v) for v in np.asarray(s, np.float64).tolist()] for _, _, s in named]
     text = "\n".join([header, *map(",".join, zip(*table, strict=True))]) + "\n"
     if len(text) > limits.TRACE.file_bytes:
@@ -182,7 +181,7 @@ def _headings(line: str, path: Path) -> list[tuple[str, str]]:
     return found
 
 
-def _escaped(name: str) -> str:
+def _escape(name: str) -> str:
     return "".join(
         quote(char, safe="") if char in ',"[]%' or not char.isprintable() else char for char in name
     )

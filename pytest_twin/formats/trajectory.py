@@ -129,7 +129,7 @@ def _batch(
     )
 
 
-def replaced(
+def follow_trajectories(
     start: Integers, time: Integers, tables: Mapping[str, Floats | None]
 ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
     """Return setpoints as a controller follows them: a new trajectory replaces the one before.

@@ -62,7 +62,7 @@ def irregularities(path: Path) -> tuple[Irregularity, ...]:
     Raises:
         PathError, LimitError, FormatError: as :func:`parse`.
     """
-    return _parsed(read_bytes(path, limits.XML.file_bytes), path)[1]
+    return _parse(read_bytes(path, limits.XML.file_bytes), path)[1]
 
 
 def parse_bytes(data: bytes, path: Path) -> Element:
@@ -72,7 +72,7 @@ def parse_bytes(data: bytes, path: Path) -> Element:
         LimitError: beyond ``limits.XML``.
         FormatError: as :func:`parse`.
     """
-    return _parsed(data, path)[0]
+    return _parse(data, path)[0]
 
 
 def plain_name(name: str, element: Element) -> str:
@@ -84,7 +84,7 @@ def plain_name(name: str, element: Element) -> str:
     return f"{prefix}:{local}" if prefix else local
 
 
-def _parsed(data: bytes, path: Path) -> tuple[Element, tuple[Irregularity, ...]]:
+def _parse(data: bytes, path: Path) -> tuple[Element, tuple[Irregularity, ...]]:
     if len(data) > limits.XML.file_bytes:
         raise LimitError(
             "file is too large", path=path, expected=f"at most {limits.XML.file_bytes} bytes"
@@ -108,7 +108,7 @@ def _parsed(data: bytes, path: Path) -> tuple[Element, tuple[Irregularity, ...]]
         line, column = error.position
         if "Excessive depth" in str(error.msg):  # the parser's own depth limit, equal to limits.XML
             _too_deep(line or None, path)
-        tolerated = _tolerated(data, parser.error_log)
+        tolerated = _parse_tolerantly(data, parser.error_log)
         if tolerated is None:
             raise FormatError(
                 f"not well-formed XML: {str(error.msg).rsplit(', line', 1)[0]}",
@@ -135,7 +135,7 @@ def _parser(*, recover: bool = False) -> etree.XMLParser:
     )
 
 
-def _tolerated(data: bytes, refusal: Any) -> tuple[Element, tuple[Irregularity, ...]] | None:
+def _parse_tolerantly(data: bytes, refusal: Any) -> tuple[Element, tuple[Irregularity, ...]] | None:
     """Return the root if :data:`_TOLERATED` covers all errors, else None."""
     parser = _parser(recover=True)
     try:

@@ -17,11 +17,11 @@ from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written,
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats import atomic
+from pytest_twin.gate.diagnosis_view import view_of
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization import Realization
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.report.diagnosis import render, words
-from pytest_twin.report.diagnosis_view import view_of
 
 
 def write_diagnosis(
@@ -53,7 +53,7 @@ def write_diagnosis(
         TwinError: the model or the recordings cannot be used, or the folder cannot be written.
     """
     inherited = patched_of(realization)
-    with quiet():
+    with suppress_mujoco_warnings():
         found = diagnose(
             realization, trials,
             inherited=inherited, threads=threads, run=run, progress=progress,

@@ -61,11 +61,11 @@ def diagnose_failures(
     """
     return [
         _diagnose_realization(gate, realization, failed, say, progress)
-        for realization, failed in _failed(gate).items()
+        for realization, failed in _failed_goldens(gate).items()
     ]
 
 
-def _failed(gate: Gate) -> dict[str, list[Golden]]:
+def _failed_goldens(gate: Gate) -> dict[str, list[Golden]]:
     """Realization -> goldens that failed on it against a recording."""
     found: dict[str, list[Golden]] = {}
     for task in gate.plan().tasks.values():

@@ -39,8 +39,10 @@ def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) ->
             None
             if calibration is None
             else {
-                "base": _plain(calibration.transform_world_to_base),
-                "joints": {name: _plain(joint) for name, joint in calibration.joints.items()},
+                "base": _dict_or_none(calibration.transform_world_to_base),
+                "joints": {
+                    name: _dict_or_none(joint) for name, joint in calibration.joints.items()
+                },
                 "records": sorted(files.get(e.record.path, "") for e in twin.calibrations),
             }
         ),
@@ -48,7 +50,7 @@ def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) ->
         "controller": _digest(twin.controllers),
         "payload": _digest(
             {
-                name: {body: _plain(added) for body, added in bodies.items()}
+                name: {body: _dict_or_none(added) for body, added in bodies.items()}
                 for name, bodies in twin.payloads.items()
             }
         ),
@@ -56,7 +58,7 @@ def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) ->
     }
 
 
-def _plain(item: Any) -> Any:
+def _dict_or_none(item: Any) -> Any:
     return None if item is None else asdict(item)
 
 

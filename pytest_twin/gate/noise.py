@@ -20,7 +20,7 @@ def without_rounding_errors(
     expected: Mapping[str, Any], trace: Trace | None
 ) -> tuple[dict[str, Any], Trace | None]:
     """Return expected values and trace with all numbers below ``SMALLEST`` set to zero."""
-    values = {name: _rounded(value) for name, value in expected.items()}
+    values = {name: _round(value) for name, value in expected.items()}
     if trace is None:
         return values, None
     columns = {
@@ -30,11 +30,11 @@ def without_rounding_errors(
     return values, Trace(trace.axis, trace.x, columns)
 
 
-def _rounded(value: Any) -> Any:
+def _round(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _rounded(item) for name, item in value.items()}
+        return {name: _round(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
+        return [_round(item) for item in value]
     if isinstance(value, float) and abs(value) < SMALLEST:
         return 0.0
     return value

@@ -12,7 +12,7 @@ from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import bytes_sha256, file_sha256
-from pytest_twin.gate.promotion import unpromoted
+from pytest_twin.gate.promotion import unpromoted_lines
 from pytest_twin.gate.source_changes import changed_sources
 from pytest_twin.golden import Golden
 from pytest_twin.installed import entry_points_by_name, package_of
@@ -95,7 +95,7 @@ def collect_dependencies(
     }
     lookups = Lookups(checks.__getitem__, installed_version, file_digest)
     problems += changed_sources(twin)
-    problems += unpromoted(twin)
+    problems += unpromoted_lines(twin)
     problems += map(str, rule_problems(twin, goldens, models, kinds()))
     dependencies = dependency_map(twin, goldens, models, lookups)
     for path in files:

@@ -15,7 +15,7 @@ _RECORD_BYTES = 16 * 2**20
 """Largest size of the record of a shadow run."""
 
 
-def unpromoted(twin: Twin) -> Iterator[str]:
+def unpromoted_lines(twin: Twin) -> Iterator[str]:
     """Yield one line for each residual or update of a twin that no shadow run has promoted."""
     for key, spec in (("residual", twin.residual), ("update", twin.update)):
         if spec is None:

@@ -121,7 +121,7 @@ def golden_schema(kinds: Iterable[str]) -> dict[str, Any]:
         branches.append(
             {
                 "if": {
-                    "properties": {"kind": {"const": kind, **_described("kind")}},
+                    "properties": {"kind": {"const": kind, **_description_of("kind")}},
                     "required": ["kind"],
                 },
                 "then": _fragment(check),
@@ -143,12 +143,12 @@ def golden_schema(kinds: Iterable[str]) -> dict[str, Any]:
 def _fragment(check: Check) -> dict[str, Any]:
     """Schema of what a kind declares: target, stimulus, names and units of tolerances."""
     properties: dict[str, Any] = {
-        name: {**_described(name), **check.schema[name]}
+        name: {**_description_of(name), **check.schema[name]}
         for name in ("target", "stimulus")
         if name in check.schema
     }
     properties["tolerance"] = {
-        **_described("tolerance"),
+        **_description_of("tolerance"),
         "type": "object",
         "properties": {
             name: tolerance_schema(unit) for name, unit in sorted(check.tolerances.items())
@@ -163,7 +163,7 @@ def _fragment(check: Check) -> dict[str, Any]:
     return {"properties": properties, "required": required}
 
 
-def _described(name: str) -> dict[str, str]:
+def _description_of(name: str) -> dict[str, str]:
     """Description of a field of every kind, so that editors show it below a kind too."""
     return {"description": str(_COMMON[name]["description"])}
 

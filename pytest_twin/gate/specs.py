@@ -89,7 +89,7 @@ def load_golden(path: Path, twin: Twin) -> Golden:
     try:
         schema = schema_of(kind)
     except SpecError as error:
-        raise _placed(error, path, lines, "kind") from error.__cause__
+        raise _located_error(error, path, lines, "kind") from error.__cause__
     validate(document, schema, path)
     tolerance, unwritten = _tolerance(data.get("tolerance", {}), kind, path, lines)
     provenance = data.get("provenance")
@@ -166,7 +166,7 @@ def _tolerance(
         try:
             quantity = parse_quantity(text, (units[name],))
         except SpecError as error:
-            raise _placed(error, path, lines, where) from None
+            raise _located_error(error, path, lines, where) from None
         if quantity.value < 0:
             raise SpecError(
                 "the tolerance is negative",
@@ -180,7 +180,7 @@ def _tolerance(
     return tolerance, unwritten
 
 
-def _placed(error: TwinError, path: Path, lines: Mapping[str, int], where: str) -> SpecError:
+def _located_error(error: TwinError, path: Path, lines: Mapping[str, int], where: str) -> SpecError:
     return SpecError(
         error.problem,
         path=path,

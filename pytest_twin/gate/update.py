@@ -181,7 +181,7 @@ def _changes(golden: Golden, recorded: Mapping[str, Any]) -> Iterator[Change]:
     for name in (*old, *(name for name in new if name not in old)):
         before, now = old.get(name, ""), new.get(name, "")
         if before != now:
-            yield Change(name, _shown(before), _shown(now))
+            yield Change(name, _format(before), _format(now))
     before = golden.trace.sha256 if golden.trace else ""
     now = recorded["trace"]["sha256"] if "trace" in recorded else ""
     if before != now:
@@ -199,7 +199,7 @@ def _leaves(value: object, where: str) -> Iterator[tuple[str, object]]:
         yield where, value
 
 
-def _shown(value: object) -> str:
+def _format(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.9g}" if math.isfinite(value) else str(value)
     return str(value)

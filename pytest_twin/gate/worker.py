@@ -17,7 +17,7 @@ from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.features.cache import Features
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.report.plots import plot
 from pytest_twin.trial import make_trials, recording_at
 from pytest_twin.twin import Twin, load_twin
@@ -43,7 +43,7 @@ def run_golden(
         TwinError: an error of the check, the model or a file.
     """
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
-    with quiet():
+    with suppress_mujoco_warnings():
         observation = check.observe(golden, loaded, progress)
     stored = _stored_trace(golden)
     return _comparison(golden, check, observation, stored, plots=plots)
@@ -68,7 +68,7 @@ def quick_diagnosis(twin: str, spec: str, realization: str, failed: list[str]) -
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
-    with quiet():
+    with suppress_mujoco_warnings():
         seen = diagnose_quickly(loaded, check.trial(golden, loaded), patched_of(loaded), failed)
     return {"line": quick_diagnosis_in_words(seen)}
 
@@ -148,7 +148,7 @@ def record(twin: str, spec: str, realization: str, progress: Progress) -> dict[s
         TwinError: as :func:`run_golden`.
     """
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
-    with quiet():
+    with suppress_mujoco_warnings():
         observation = check.observe(golden, loaded, progress)
     expected, trace = without_rounding_errors(*check.expect(golden, observation))
     recorded = replace(golden, expected=expected or None)

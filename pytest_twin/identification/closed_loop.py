@@ -19,7 +19,7 @@ from pytest_twin.formats.identification_record import EncoderChange
 from pytest_twin.identification.drive_effects import DriveEffects, DriveRecordings, fit_drives
 from pytest_twin.identification.effort.servo_gains import ServoGains
 from pytest_twin.identification.fit_patches import Patches
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.metrics.joint_frequency import effort_response
@@ -96,13 +96,15 @@ def close_loop(
         folder: new and empty; gets the fitted model.
     """
     write_fitted(folder, nominal, fit, encoders)
-    positions, stage = simulated(nominal, load_written(folder), trials)
+    positions, stage = compare_simulations(nominal, load_written(folder), trials)
     plain = ClosedLoop(folder, fit, positions, stage)
     if stage.held_out is None:
         return plain
     best, notes = plain, []
     if gains:
-        servos = _with_gains(nominal, fit, encoders, gains, trials, _beside(folder, "servo_gains"))
+        servos = _with_gains(
+            nominal, fit, encoders, gains, trials, _new_folder(folder, "servo_gains")
+        )
         if best.has_larger_error_than(servos):
             best = servos
         else:
@@ -114,9 +116,9 @@ def close_loop(
     if recordings is not None:
         base = plain
         if recordings.known:
-            aside = _beside(folder, "known_servos")
+            aside = _new_folder(folder, "known_servos")
             base = _with_gains(nominal, fit, encoders, recordings.known, trials, aside)
-        other = _beside(folder, "drive_effects")
+        other = _new_folder(folder, "drive_effects")
         try:
             found = fit_drives(load_written(base.folder), recordings, other)
         except TwinError as error:
@@ -125,7 +127,7 @@ def close_loop(
         if found is not None:
             driven = _with_drives(nominal, base, found, trials, other)
             best = driven if best.has_larger_error_than(driven) else best
-    return replace(_moved(best, folder), notes=[*notes, *best.notes])
+    return replace(_move_model(best, folder), notes=[*notes, *best.notes])
 
 
 def _with_gains(
@@ -138,7 +140,7 @@ def _with_gains(
 ) -> ClosedLoop:
     patches = {**fit, "actuator": {one.actuator: dict(one.patch()) for one in gains}}
     write_fitted(folder, nominal, patches, encoders)
-    positions, stage = simulated(nominal, load_written(folder), trials)
+    positions, stage = compare_simulations(nominal, load_written(folder), trials)
     parameters = {name: one for each in gains for name, one in each.parameters().items()}
     words = ", ".join(one.words for one in gains)
     stage = replace(
@@ -157,7 +159,7 @@ def _with_drives(
     trials: Sequence[Trial] | TwinError,
     folder: Path,
 ) -> ClosedLoop:
-    positions, stage = simulated(nominal, load_written(folder), trials)
+    positions, stage = compare_simulations(nominal, load_written(folder), trials)
     named = ", ".join(found.together.parameters)
     stage = replace(
         stage,
@@ -180,14 +182,14 @@ def _with_drives(
     return ClosedLoop(folder, fit, positions, stage, parameters, found, notes)
 
 
-def _beside(folder: Path, name: str) -> Path:
+def _new_folder(folder: Path, name: str) -> Path:
     """Return a new folder beside that of the fitted model."""
     other = folder.with_name(f"with_{name}")
     other.mkdir()
     return other
 
 
-def _moved(loop: ClosedLoop, folder: Path) -> ClosedLoop:
+def _move_model(loop: ClosedLoop, folder: Path) -> ClosedLoop:
     """Move the model of a closed loop to a folder, and remove the others beside it."""
     if loop.folder != folder:
         shutil.rmtree(folder)
@@ -221,7 +223,7 @@ def trials_of(
         return error
 
 
-def simulated(
+def compare_simulations(
     nominal: Realization, fitted: Realization, trials: Sequence[Trial] | TwinError
 ) -> tuple[dict[str, PositionError], Stage]:
     """Return joint -> position error of both models, and the stage ``closed_loop``.
@@ -257,7 +259,7 @@ def simulated(
     return found, judge_stage(Stage("closed_loop", "accepted", why, (), None, _EXCLUDES), held)
 
 
-def effort_responses(recordings: Sequence[Measured]) -> list[dict[str, Any]]:
+def effort_responses(recordings: Sequence[MeasuredRecording]) -> list[dict[str, Any]]:
     """Return each joint's response from effort to position, of recordings without commands.
 
     Each joint has the recording that supports the most frequencies.

@@ -24,8 +24,8 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.identification.effort.servo_gains import ServoGains
 from pytest_twin.identification.fit_patches import Patches
-from pytest_twin.identification.measured_recordings import MeasuredSet
-from pytest_twin.identification.records import correlated
+from pytest_twin.identification.measured_recordings import MeasuredRecordings
+from pytest_twin.identification.records import correlated_pairs
 from pytest_twin.identification.simulation.document import parameters_with_covariance
 from pytest_twin.identification.simulation.identify import SimulationResult, identify_simulation
 from pytest_twin.identification.simulation.passive_joints import impossible
@@ -33,7 +33,7 @@ from pytest_twin.identification.simulation.stage_effects import AFTER_EFFORT, St
 from pytest_twin.identification.simulation.stage_fit import with_derivatives
 from pytest_twin.identification.stages import Stage
 from pytest_twin.realization import Realization
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 from pytest_twin.trial.joint_side import effort_factor
@@ -93,7 +93,7 @@ class DriveRecordings:
 
 
 def drive_recordings(
-    measured: MeasuredSet,
+    measured: MeasuredRecordings,
     topics: Mapping[str, str],
     options: RecordingOptions,
     signals: Signals,
@@ -154,7 +154,7 @@ def fit_drives(
     if not recordings.has_torques:
         trials = _without_efforts(trials)
     inherited = patched_of(fitted)
-    with quiet():
+    with suppress_mujoco_warnings():
         found = identify_simulation(
             fitted, trials,
             inherited=inherited,
@@ -171,7 +171,7 @@ def fit_drives(
                 found.prepared.cold_fractions, found.prepared.substeps, found.signals.found_between
             ),
         )  # fmt: skip
-    found = replace(found, spread=_widened_by_friction(found, recordings))
+    found = replace(found, spread=_widen_by_friction(found, recordings))
     parameters, covariance = parameters_with_covariance(found)
     drive, together = found.stages
     return DriveEffects(
@@ -190,14 +190,14 @@ def fit_drives(
 def with_drive_effects(stages: Sequence[Stage], drives: DriveEffects) -> tuple[Stage, ...]:
     """Return the stages of the inverse dynamics, with these effects in the stage ``drive``."""
     return tuple(
-        _merged(one, drives.stage)
+        _merge_stages(one, drives.stage)
         if one.name == "drive" and drives.stage.state in ("accepted", "reopened")
         else one
         for one in stages
     )
 
 
-def _merged(by_effort: Stage, by_motion: Stage) -> Stage:
+def _merge_stages(by_effort: Stage, by_motion: Stage) -> Stage:
     if by_effort.state == "not_observable":
         return by_motion
     added = ", ".join(by_motion.parameters)
@@ -220,7 +220,7 @@ def add_covariance(document: dict[str, Any], drives: DriveEffects) -> None:
     matrix[:count, :count] = np.reshape(before["matrix"], (count, count))
     matrix[count:, count:] = drives.covariance
     document["covariance"] = {"names": names, "matrix": matrix.tolist()}
-    document["correlated"] += correlated(list(drives.parameters), drives.covariance)
+    document["correlated"] += correlated_pairs(list(drives.parameters), drives.covariance)
 
 
 def changed_attributes(before: mujoco.MjModel, after: mujoco.MjModel) -> Patches:
@@ -245,7 +245,7 @@ def changed_attributes(before: mujoco.MjModel, after: mujoco.MjModel) -> Patches
     return {family: own for family, own in found.items() if own}
 
 
-def _widened_by_friction(found: SimulationResult, recordings: DriveRecordings) -> Spread:
+def _widen_by_friction(found: SimulationResult, recordings: DriveRecordings) -> Spread:
     """Return the uncertainty of the effects with that of the friction that was given to their fit.
 
     An error of the friction changes the effects by the ratio of the sensitivities (least squares).

@@ -32,14 +32,16 @@ def encoder_changes(realization: Realization, result: EffortResult) -> dict[str,
     found = {joint: one for joint, one in now.items() if one != before.get(joint, _NONE)}
     for joint in dict.fromkeys(one.joint for one in result.encoders.corrected):
         own = [one for one in result.encoders.corrected if one.joint == joint]
-        found[joint] = _corrected(now.get(joint, _NONE), own)
+        found[joint] = _correct_calibration(now.get(joint, _NONE), own)
     return {
         joint: EncoderChange(asdict(before.get(joint, _NONE)), asdict(one))
         for joint, one in found.items()
     }
 
 
-def _corrected(now: JointCalibration, readings: Sequence[EncoderError]) -> JointCalibration:
+def _correct_calibration(
+    now: JointCalibration, readings: Sequence[EncoderError]
+) -> JointCalibration:
     """Return the calibration corrected for ``position = (1 + scale) q + bias``."""
     bias = sum(one.value for one in readings if one.kind == BIAS)
     scale = 1.0 + sum(one.value for one in readings if one.kind != BIAS)

@@ -35,7 +35,7 @@ _TO_PINOCCHIO = [INERTIAL.index(name) for name in _PINOCCHIO]
 
 
 @dataclass(frozen=True)
-class Physical:
+class FullParameters:
     """Full parameters of links and drives.
 
     Attributes:
@@ -52,13 +52,13 @@ class Physical:
     cost: float
 
 
-def physical(
+def fit_full_parameters(
     columns: Sequence[Column],
     prior: FloatArray,
     combination: FloatArray,
     base: FloatArray,
     information: FloatArray,
-) -> Physical:
+) -> FullParameters:
     """Return the full parameters nearest to the nominal ones that agree with the data.
 
     Args:
@@ -113,7 +113,7 @@ def physical(
     )
     values = whole(found.x)
     off = root @ (combination @ values - base)
-    return Physical(
+    return FullParameters(
         parameters=values,
         is_consistent=_is_consistent(columns, values),
         violations=tuple(_violations(columns, combination, base)),

@@ -109,7 +109,7 @@ class KnownEfforts:
                 time[rows], step, position[rows], velocity[rows], drives[rows], load[rows], cold
             )
             world.state = state
-            found[rows] += _pushed(
+            found[rows] += _effort_of_effects(
                 world, [(e, {n: x[rows] for n, x in own.items()}) for e, own in acting]
             )
         return found
@@ -157,16 +157,17 @@ def notes_on_effects(realization: Realization) -> list[str]:
     if kept.effects:
         notes.append(
             f"effects of the given model that its MJCF does not contain act in the fit and in the "
-            f"fitted model, with their values: {_named(kept.effects)}"
+            f"fitted model, with their values: {_effect_names(kept.effects)}"
         )
     if left:
         notes.append(
-            f"effects of the given model that are identified anew, and not kept: {_named(left)}"
+            "effects of the given model that are identified anew, and not kept: "
+            f"{_effect_names(left)}"
         )
     return notes
 
 
-def _named(effects: Sequence[AppliedEffect]) -> str:
+def _effect_names(effects: Sequence[AppliedEffect]) -> str:
     return ", ".join(
         one.effect if one.joint is None else f"{one.effect} of {one.joint}" for one in effects
     )
@@ -240,7 +241,7 @@ def _world(
     )
 
 
-def _pushed(world: World, effects: ActiveEffects) -> FloatArray:
+def _effort_of_effects(world: World, effects: ActiveEffects) -> FloatArray:
     """(rows, joints) effort of effects in a state, N*m or N."""
     fields = ModelFields.neutral(np.zeros((len(world.time), 3)), world.position.shape[1])
     for effect, values in effects:

@@ -27,7 +27,7 @@ from pytest_twin.trial.joint_side import (
 )
 from pytest_twin.trial.joints import in_model_names
 from pytest_twin.trial.roles import refuse_final
-from pytest_twin.trial.table import kept_commands, sorted_rows
+from pytest_twin.trial.table import kept_commands, stamp_order
 
 _FEWEST = 50
 """Fewest states of a recording for differentiation."""
@@ -49,7 +49,7 @@ _SPEEDS = {"deg/s": 180.0 / np.pi, "revolutions per minute": 30.0 / np.pi}
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredRecording:
     """One recording without gaps, on the joint side of the gears.
 
     Attributes:
@@ -92,7 +92,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class MeasuredSet:
+class MeasuredRecordings:
     """Recordings by their role.
 
     Attributes:
@@ -101,8 +101,8 @@ class MeasuredSet:
         notes: messages.
     """
 
-    fit: tuple[Measured, ...]
-    held_out: tuple[Measured, ...]
+    fit: tuple[MeasuredRecording, ...]
+    held_out: tuple[MeasuredRecording, ...]
     notes: tuple[str, ...] = field(default=())
 
 
@@ -112,7 +112,7 @@ def read_measured(
     topics: Mapping[str, str],
     options: RecordingOptions,
     signals: Signals,
-) -> list[Measured]:
+) -> list[MeasuredRecording]:
     """Read the states of a recording, cut at its gaps.
 
     Raises:
@@ -123,7 +123,7 @@ def read_measured(
     for recording in recordings_at(path, topics, options):
         refuse_final(recording.metadata, path, "an identification")
         series = _commands_or_states(recording, "state", realization, topics, options)
-        commanded, notes = _commanded(recording, series, realization, topics, options)
+        commanded, notes = _commands_at_states(recording, series, realization, topics, options)
         whole = _in_model(_at_joints(series, commanded, recording, signals), realization)
         found += _stretches(replace(whole, notes=(*whole.notes, *notes)))
     return found
@@ -156,7 +156,7 @@ def _commands_or_states(
     return named
 
 
-def _commanded(
+def _commands_at_states(
     recording: Recording,
     states: JointSeries,
     realization: Realization,
@@ -177,7 +177,7 @@ def _commanded(
         if not _measures(states):
             raise
         return {}, [f"commands are not used: {error.problem}"]
-    order = sorted_rows(commands.stamp)
+    order = stamp_order(commands.stamp)
     table = kept_commands(np.asarray(commanded.table, dtype=np.float64)[order])
     at = np.searchsorted(commands.stamp[order], states.stamp, side="right") - 1
     found: dict[str, FloatArray] = {}
@@ -200,9 +200,9 @@ def _at_joints(
     commanded: Mapping[str, FloatArray],
     recording: Recording,
     signals: Signals,
-) -> Measured:
+) -> MeasuredRecording:
     assert series.position is not None
-    order = sorted_rows(series.stamp)
+    order = stamp_order(series.stamp)
     stamp = series.stamp[order]
     once = np.append(True, np.diff(stamp) > 0)
     order, stamp = order[once], stamp[once]
@@ -237,7 +237,7 @@ def _at_joints(
         at_motors = command[order][:, seen][whole]
         command, _, _ = positions_at_joints(names, at_motors, None, signals)
     velocity_there = None if velocity is None else velocity[whole]
-    return Measured(
+    return MeasuredRecording(
         path=recording.path,
         start=0.0,
         joints=names,
@@ -253,7 +253,7 @@ def _at_joints(
     )
 
 
-def _in_model(read: Measured, realization: Realization) -> Measured:
+def _in_model(read: MeasuredRecording, realization: Realization) -> MeasuredRecording:
     """Return the recording in the model's joint coordinates.
 
     The twin's calibration and the sensor effects of an earlier diagnosis are applied.
@@ -339,7 +339,7 @@ def _efforts(
                 notes.append(f"{name}: effort reads 0 {share}: no sensor, its effort is unknown")
             effort[:, column] = np.nan
             continue
-        if not own.signed or _unsigned(known):
+        if not own.signed or _is_unsigned(known):
             notes.append(
                 f"{name}: effort never changes its sign: an amount and no torque; it is not used. "
                 "Record the signed current, or identify from commands and positions alone"
@@ -376,7 +376,7 @@ def saturation_level(values: FloatArray) -> float | None:
     return top if top > 0.0 and in_a_row.mean() > _CLIPPED else None
 
 
-def _unsigned(values: FloatArray) -> bool:
+def _is_unsigned(values: FloatArray) -> bool:
     """Whether the efforts are magnitudes only: never negative, and often zero.
 
     The effort of a joint that only carries weight has one sign too, but is never near zero.
@@ -384,7 +384,7 @@ def _unsigned(values: FloatArray) -> bool:
     return bool(values.min() >= 0.0 and np.quantile(values, 0.05) < 0.1 * np.quantile(values, 0.95))
 
 
-def _stretches(whole: Measured) -> list[Measured]:
+def _stretches(whole: MeasuredRecording) -> list[MeasuredRecording]:
 
     if len(whole.time) < _FEWEST:
         raise RecordingError(

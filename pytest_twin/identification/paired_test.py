@@ -18,26 +18,26 @@ that is reached once leaves a single event, whose mean is never significant."""
 
 
 @dataclass(frozen=True, slots=True)
-class Paired:
+class PairedTest:
     """Mean reduction of a squared error over paired samples.
 
     Attributes:
-        fall: mean of squared error before minus after, in the squared unit of the errors.
+        reduction: mean of squared error before minus after, in the squared unit of the errors.
         standard_error: standard error of the mean, for samples correlated in time.
-        share: ``fall`` relative to the mean squared error before.
+        share: ``reduction`` relative to the mean squared error before.
     """
 
-    fall: float
+    reduction: float
     standard_error: float
     share: float
 
     @property
     def is_significant(self) -> bool:
         """Whether the reduction is significant (one-sided, 5 %), or halves the error."""
-        return self.fall > ONE_SIDED * self.standard_error or self.share > _MOST
+        return self.reduction > ONE_SIDED * self.standard_error or self.share > _MOST
 
 
-def paired(before: FloatArray, after: FloatArray, lengths: Sequence[int]) -> Paired:
+def compare_paired(before: FloatArray, after: FloatArray, lengths: Sequence[int]) -> PairedTest:
     """Compare the errors of two models on the same samples.
 
     Both errors contain the same noise, so their difference has less noise than either (Diebold,
@@ -50,9 +50,11 @@ def paired(before: FloatArray, after: FloatArray, lengths: Sequence[int]) -> Pai
     """
     change = np.sum(before**2 - after**2, axis=1)
     if not np.isfinite(change).all():
-        fall = np.inf if np.isfinite(after).all() else -np.inf
-        return Paired(fall, 0.0, fall)
+        reduction = np.inf if np.isfinite(after).all() else -np.inf
+        return PairedTest(reduction, 0.0, reduction)
     effective = float(effective_samples((change - change.mean())[:, None], lengths)[0])
-    fall = float(change.mean())
+    reduction = float(change.mean())
     size = max(float(np.mean(np.sum(before**2, axis=1))), 1e-300)
-    return Paired(fall, float(change.std() / np.sqrt(max(effective, 1.0))), fall / size)
+    return PairedTest(
+        reduction, float(change.std() / np.sqrt(max(effective, 1.0))), reduction / size
+    )

@@ -12,12 +12,12 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.effort.delay import DELAY, LAG, without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
-from pytest_twin.identification.effort.effort_scale import Scale, payload_effort, scaled
+from pytest_twin.identification.effort.effort_scale import Scale, divide_by_scales, payload_effort
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.least_squares import linear_problem
 from pytest_twin.identification.effort.recording_rows import sample
 from pytest_twin.identification.effort.stage_comparison import errors_of
-from pytest_twin.identification.measured_recordings import Measured, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording, read_measured
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
 from pytest_twin.twin import DEFAULT_TOPICS
@@ -30,7 +30,7 @@ _OF_RECORD = frozenset({
 
 
 @dataclass(frozen=True, slots=True)
-class Rechecked:
+class JointEffortError:
     """Effort error of one joint.
 
     Attributes:
@@ -46,7 +46,7 @@ class Rechecked:
 
 def recheck(
     realization: Realization, record: IdentificationRecord, recordings: Sequence[Path]
-) -> dict[str, Rechecked]:
+) -> dict[str, JointEffortError]:
     """Return joint -> error of the realization's inverse dynamics along the measured motion.
 
     Inertia, armature, friction and encoders are those of the current twin. Constant efforts, scales
@@ -99,14 +99,14 @@ def recheck(
     problem = linear_problem(rows, every, np.zeros((len(joints), len(every)), dtype=bool))
     slides = dict(zip(joints, regressor.slides, strict=True))
     return {
-        joint: Rechecked(error.relative, error.rms, slides[joint])
+        joint: JointEffortError(error.relative, error.rms, slides[joint])
         for joint, error in errors_of(problem, values, joints).items()
     }
 
 
 def _as_identified(
-    measured: Sequence[Measured], record: IdentificationRecord, unscaled: Sequence[str]
-) -> tuple[Measured, ...]:
+    measured: Sequence[MeasuredRecording], record: IdentificationRecord, unscaled: Sequence[str]
+) -> tuple[MeasuredRecording, ...]:
     """Remove the record's delay and scale of efforts from the recordings."""
     moved = tuple(measured)
     for name in (DELAY, LAG):
@@ -118,4 +118,4 @@ def _as_identified(
         if joint not in (*unscaled, *record.drive_gains)
         and f"{joint}.effort_scale" in record.values
     }
-    return scaled(moved, scales)
+    return divide_by_scales(moved, scales)

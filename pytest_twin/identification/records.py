@@ -149,7 +149,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "wider": [names[k] for k in np.flatnonzero(estimate.bootstrap.wider)],
         },
         "covariance": {"names": names, "matrix": covariance.tolist()},
-        "correlated": correlated(names, covariance),
+        "correlated": correlated_pairs(names, covariance),
         "base_parameters": [_base_json(result, i, values, widths) for i in range(len(base))],
         "held_out": errors,
         "tested_on": "held-out recordings" if tested else "fitted recordings",
@@ -157,8 +157,8 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "consistent": result.physical.is_consistent,
             "violations": list(result.physical.violations),
             "cost": result.physical.cost,
-            "note": "the base parameters are measured; how they are shared among links is the "
-            "model's word under a prior",
+            "note": "the base parameters are measured; their distribution among the links follows "
+            "from the nominal model as prior",
         },
         "suspected": [one.to_json() for one in result.suspected],
         "without_effort": list(result.without_effort),
@@ -218,7 +218,7 @@ def _mean(errors: dict[str, Any]) -> float:
     return float(np.mean([error.relative for error in errors.values()]))
 
 
-def correlated(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, Any]]:
+def correlated_pairs(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, Any]]:
     """Return pairs of strongly correlated parameters."""
     std = np.sqrt(np.diag(covariance).clip(1e-300))
     correlation = covariance / np.outer(std, std)

@@ -9,15 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.errors import RecordingError, TwinError
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import (
+    MeasuredRecording,
+    MeasuredRecordings,
+    read_measured,
+)
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 
-_ONE_HELD_OUT_OF = 4
+ONE_HELD_OUT_OF = 4
+"""One recording of so many is held out if no role is given."""
 _NO_PAYLOAD = frozenset({"none", "no", "empty", "0"})
 """Names of a payload that mean that there is none."""
-"""One recording of so many is held out if no role is given."""
 
 
 def read_by_role(
@@ -27,7 +31,7 @@ def read_by_role(
     topics: Mapping[str, str],
     options: RecordingOptions,
     signals: Signals,
-) -> MeasuredSet:
+) -> MeasuredRecordings:
     """Read every recording and assign its role.
 
     The roles follow from ``held_out``, else from the metadata ``role`` of the recordings, else the
@@ -44,7 +48,7 @@ def read_by_role(
         TwinError: a recording cannot be read, or there is none to fit.
     """
     notes: list[str] = []
-    known: dict[Path, list[Measured]] = {}
+    known: dict[Path, list[MeasuredRecording]] = {}
     errors: list[TwinError] = []
     for path in dict.fromkeys([*recordings, *held_out]):
         try:
@@ -57,7 +61,7 @@ def read_by_role(
     if not held_out:
         aside = [p for p in fit if known[p] and known[p][0].metadata.get("role") == "held_out"]
         if not aside and len(fit) > 1:
-            count = max(1, len(fit) // _ONE_HELD_OUT_OF)
+            count = max(1, len(fit) // ONE_HELD_OUT_OF)
             aside = fit[-count:]
             names = ", ".join(path.name for path in aside)
             notes.append(f"held out (chosen automatically): {names}; choose with --held-out")
@@ -78,10 +82,12 @@ def read_by_role(
     fitted = [one for path in fit for one in known[path]]
     tested = [one for path in aside for one in known[path]]
     notes += _unknown_payloads(realization, [*fitted, *tested])
-    return _common(fitted, tested, notes)
+    return _reduce_to_common_joints(fitted, tested, notes)
 
 
-def _unknown_payloads(realization: Realization, recordings: Sequence[Measured]) -> list[str]:
+def _unknown_payloads(
+    realization: Realization, recordings: Sequence[MeasuredRecording]
+) -> list[str]:
     """Return a note for each payload that recordings name and the twin does not state."""
     stated = () if realization.twin is None else realization.twin.payloads
     named: dict[str, list[str]] = {}
@@ -96,7 +102,9 @@ def _unknown_payloads(realization: Realization, recordings: Sequence[Measured]) 
     ]
 
 
-def _common(fit: list[Measured], held_out: list[Measured], notes: list[str]) -> MeasuredSet:
+def _reduce_to_common_joints(
+    fit: list[MeasuredRecording], held_out: list[MeasuredRecording], notes: list[str]
+) -> MeasuredRecordings:
     """Reduce every recording to the same joints in the same order."""
     everything = [*fit, *held_out]
     shared = [j for j in fit[0].joints if all(j in one.joints for one in everything)]
@@ -110,14 +118,14 @@ def _common(fit: list[Measured], held_out: list[Measured], notes: list[str]) -> 
             value=", ".join(everything[-1].joints),
             expected=f"joints of {fit[0].path.name}: {', '.join(fit[0].joints)}",
         )
-    return MeasuredSet(
-        tuple(_only(one, shared) for one in fit),
-        tuple(_only(one, shared) for one in held_out),
+    return MeasuredRecordings(
+        tuple(_select_joints(one, shared) for one in fit),
+        tuple(_select_joints(one, shared) for one in held_out),
         tuple(notes),
     )
 
 
-def _only(one: Measured, joints: list[str]) -> Measured:
+def _select_joints(one: MeasuredRecording, joints: list[str]) -> MeasuredRecording:
     if list(one.joints) == joints:
         return one
     at = np.array([one.joints.index(j) for j in joints])

@@ -24,7 +24,7 @@ from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.encoder_changes import encoder_changes
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.known_effects import notes_on_effects
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify import identify_sensors
@@ -102,14 +102,14 @@ def identify_files(
             {**stated, **topics}["state"], _new_folder(Path(out) / REALIZATION),
             lambda fraction: progress(0.1 + 0.9 * fraction),
         )  # fmt: skip
-        return _finished(document, notes, name, realization, [Path(model), *paths, *tested])
+        return _with_digests(document, notes, name, realization, [Path(model), *paths, *tested])
     tossed = TossOptions(**(asked.tosses or {}))
     if are_tosses([*paths, *tested], tossed):
         document = identify_contact(
             realization, paths, tested, tossed, _new_folder(Path(out) / REALIZATION),
             lambda fraction: progress(0.1 + 0.9 * fraction),
         )  # fmt: skip
-        return _finished(document, notes, name, realization, [Path(model), *paths, *tested])
+        return _with_digests(document, notes, name, realization, [Path(model), *paths, *tested])
     measured = read_by_role(
         paths, tested, realization,
         {**stated, **topics}, chosen, signals,
@@ -172,10 +172,12 @@ def identify_files(
     reasons = [] if has_effort(measured) else [n for one in measured.fit for n in one.notes]
     said = [*notes, *measured.notes, *dict.fromkeys(reasons)]
     progress(1.0)
-    return _finished(document, said, name, realization, [Path(model), *paths, *tested])
+    return _with_digests(document, said, name, realization, [Path(model), *paths, *tested])
 
 
-def _without_effort(error: RecordingError, recordings: Sequence[Measured]) -> RecordingError:
+def _without_effort(
+    error: RecordingError, recordings: Sequence[MeasuredRecording]
+) -> RecordingError:
     """Extend the error on unusable commands by the reason why efforts are unusable."""
     why = "; ".join(dict.fromkeys(note for one in recordings for note in one.notes))
     return RecordingError(
@@ -192,7 +194,7 @@ def _new_folder(folder: Path) -> Path:
     return folder
 
 
-def _finished(
+def _with_digests(
     document: dict[str, Any],
     notes: Sequence[str],
     name: str,
@@ -211,7 +213,7 @@ def _finished(
     return document
 
 
-def _paths(measured: Sequence[Measured]) -> list[Path]:
+def _paths(measured: Sequence[MeasuredRecording]) -> list[Path]:
     return list(dict.fromkeys(one.path for one in measured))
 
 
@@ -230,11 +232,11 @@ def _from_commands(
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.identification.simulation.document import simulation_document
     from pytest_twin.identification.simulation.identify import identify_simulation
-    from pytest_twin.realization.mujoco_warnings import quiet
+    from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
     trials = read_trials(recordings, held_out, topics, realization.structure, options)
     inherited = patched_of(realization)
-    with quiet():
+    with suppress_mujoco_warnings():
         result = identify_simulation(
             realization, trials,
             inherited=inherited, progress=lambda fraction: progress(0.3 + 0.6 * fraction),

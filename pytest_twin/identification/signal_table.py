@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.signals import Signals
 
 
-def signal_table(recordings: Sequence[Measured], signals: Signals) -> dict[str, Any]:
+def signal_table(recordings: Sequence[MeasuredRecording], signals: Signals) -> dict[str, Any]:
     """Return joint -> stated position, effort, gear and zero, and detected rate.
 
     ``effort_used`` is true if a recording has a measured effort of the joint.

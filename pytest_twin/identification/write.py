@@ -35,10 +35,10 @@ def write_fitted(
         folder: a new, empty folder.
         realization: the nominal model.
         patches: family -> element -> attribute -> value.
-        encoders: what changes of them.
+        encoders: joint -> its calibration before and after.
 
     Raises:
-        SpecError: the fit names what the model lacks.
+        SpecError: the fit names an element that the model does not have.
         ModelError: MuJoCo refuses the fitted model.
     """
     spec = realization.spec.copy()
@@ -47,7 +47,7 @@ def write_fitted(
         return SpecError(problem, path=realization.path, where=where, **details)
 
     patch.apply_fit(spec, patches, {}, refuse=refuse)
-    model, _ = mjcf.compiled(spec)
+    model, _ = mjcf.compile_spec(spec)
     if realization.source.kind == "mjcf":
         for name, path in realization.source.assets.items():
             if not name.endswith(".xml"):

@@ -48,7 +48,7 @@ def envelope(traces: FloatArray, share: float) -> Envelope:
     return Envelope(lower, middle, upper)
 
 
-def inside(values: FloatArray, found: Envelope) -> FloatArray:
+def is_inside(values: FloatArray, found: Envelope) -> FloatArray:
     """(..., n, j) 1.0 where a value is in the envelope, else 0.0."""
     return ((values >= found.lower) & (values <= found.upper)).astype(np.float64)
 

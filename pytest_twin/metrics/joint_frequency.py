@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.metrics.frequency import Response, bandwidth, decibel, resonance
-from pytest_twin.metrics.recorded_frequency import recorded_response, uniform
+from pytest_twin.metrics.recorded_frequency import recorded_response, resample_uniformly
 from pytest_twin.trial import Trial
 
 _MIN_LINES = 3
@@ -107,7 +107,7 @@ def _responses(time: FloatArray, series: list[FloatArray]) -> list[Response | No
     known = np.all(np.isfinite(series), axis=0)
     if known.sum() < 2 or np.any(np.diff(time[known]) < 0):
         return []
-    rate, (given, *answers) = uniform(time[known], *(one[known] for one in series))
+    rate, (given, *answers) = resample_uniformly(time[known], *(one[known] for one in series))
     return [recorded_response(given, answer, rate) for answer in answers]
 
 

@@ -56,7 +56,9 @@ class ResponseDifference:
     resonance_measured: float | None = None
 
 
-def uniform(time: FloatArray, *series: FloatArray) -> tuple[float, tuple[FloatArray, ...]]:
+def resample_uniformly(
+    time: FloatArray, *series: FloatArray
+) -> tuple[float, tuple[FloatArray, ...]]:
     """Resample series to equal intervals by linear interpolation; the sampling rate (Hz) first.
 
     Args:
@@ -140,9 +142,9 @@ def response_difference(
     return ResponseDifference(
         float(abs(level[worst])), float(abs(turn[late])), float(both[worst]), float(both[late]),
         float(both[0]), float(both[-1]), len(both),
-        _apart(*widths), *widths, _apart(*peaks), *peaks,
+        _absolute_difference(*widths), *widths, _absolute_difference(*peaks), *peaks,
     )  # fmt: skip
 
 
-def _apart(one: float | None, other: float | None) -> float | None:
+def _absolute_difference(one: float | None, other: float | None) -> float | None:
     return None if one is None or other is None else abs(one - other)

@@ -186,12 +186,12 @@ def energy_conservation(asset: Asset, q: Q) -> Iterator[Broken]:
     The robot is simulated with RK4, with springs and gravity only. The step is halved until the
     energy is constant, which it must be for a sufficiently small step.
     """
-    from pytest_twin.realization.mujoco_warnings import quiet
+    from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
     for form in asset.simulated:
         drift = bound = math.inf
         for halvings in range(_REFINED + 1):
-            with quiet():
+            with suppress_mujoco_warnings():
                 drift, kinetic = _drift(asset, form, q, _TIMESTEP / 2**halvings)
             bound = asset.tolerances.energy * kinetic + _NOISE
             if drift <= bound:

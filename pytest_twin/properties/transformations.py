@@ -51,7 +51,7 @@ def written_and_read(asset: Asset, q: Q) -> Iterator[Broken]:
 def mirrored(asset: Asset, q: Q) -> Iterator[Broken]:
     """The mirrored robot has mirrored poses and the same mass matrix at the same joint values."""
     for form in asset.simulated:
-        imported = _import(form, "mirrored", trees.mirrored)
+        imported = _import(form, "mirrored", trees.mirror)
         yield from _compare(asset, form, imported, q, trees.MIRROR, "mirrored")
 
 
@@ -64,7 +64,7 @@ def rerooted(asset: Asset, q: Q) -> Iterator[Broken]:
     for form in asset.simulated:
         last = trees.leaves(trees.tree_of(form.model))[-1]
         plain = _import(form, "as it is", lambda tree: tree)
-        turned = _import(form, "rerooted", lambda tree, last=last: trees.rerooted(tree, last))
+        turned = _import(form, "rerooted", lambda tree, last=last: trees.reroot(tree, last))
         poses = form.dynamics.poses(q)
         base = inverse(poses[last])
         own = _from_reference(form, q)

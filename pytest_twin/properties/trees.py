@@ -70,7 +70,7 @@ def tree_of(model: Any) -> RigidTree:
     return RigidTree(bodies)
 
 
-def mirrored(tree: RigidTree) -> RigidTree:
+def mirror(tree: RigidTree) -> RigidTree:
     """The mirrored tree.
 
     The axis of a hinge is a pseudovector, so that its sign changes; that of a slide is a vector.
@@ -98,7 +98,7 @@ def mirrored(tree: RigidTree) -> RigidTree:
     return RigidTree(found)
 
 
-def rerooted(tree: RigidTree, root: str) -> RigidTree:
+def reroot(tree: RigidTree, root: str) -> RigidTree:
     """The same robot with another root; the joints between the two roots are reversed.
 
     ``T = X A m(q) inv(A)`` from parent to child becomes ``inv(X) (X A) m(-q) inv(X A)``.

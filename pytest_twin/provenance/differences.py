@@ -23,10 +23,10 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.recording import Recording
 from pytest_twin.outcome import Reason
 from pytest_twin.provenance.displacement import Displacement, displacement_between, tool_poses
-from pytest_twin.provenance.motion_difference import simulated_differences
+from pytest_twin.provenance.motion_difference import motion_differences
 from pytest_twin.provenance.poses import (
     Poses,
-    drawn_poses,
+    draw_poses,
     first_seconds,
     poses_of,
     recordings_of,
@@ -106,7 +106,7 @@ def differences(before: str, today: str, dataset: str) -> dict[str, Any]:
     old, new = Version.of(Path(before)), Version.of(Path(today))
     recordings = recordings_of(Path(dataset), new.twin)
     poses = poses_of(recordings, new.realization.structure, new.twin)
-    shown = poses or drawn_poses(new.realization.structure)
+    shown = poses or draw_poses(new.realization.structure)
     known = _common_joints(shown, old, new)
     changed = {
         ident: _reasons(ident, old.parts, new.parts)
@@ -318,7 +318,7 @@ class _Differences:
         """Joint -> largest difference between replays of both versions, rad or m; or None."""
         if self._simulated is None:
             part = first_seconds(self.recordings, _REPLAYED_SECONDS)
-            self._simulated, notes = simulated_differences(
+            self._simulated, notes = motion_differences(
                 self.old.realization, self.new.realization, part
             )
             self.notes += notes

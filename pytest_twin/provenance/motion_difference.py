@@ -16,7 +16,7 @@ from pytest_twin.replay import replay
 from pytest_twin.trial import Trial, make_trials
 
 
-def simulated_differences(
+def motion_differences(
     old: Realization, new: Realization, recordings: Sequence[Recording]
 ) -> tuple[dict[str, float], list[str]]:
     """Largest difference between the replays of two models, for each joint.
@@ -34,7 +34,7 @@ def simulated_differences(
         assert new.twin is not None
         try:
             trials = make_trials(recording, new.structure, new.twin.recordings)
-            before, after = (simulated_positions(model, trials) for model in (old, new))
+            before, after = (simulate_positions(model, trials) for model in (old, new))
         except TwinError as error:
             notes.append(f"not replayed: {error}")
             continue
@@ -45,7 +45,7 @@ def simulated_differences(
     return found, notes
 
 
-def simulated_positions(
+def simulate_positions(
     realization: Realization, trials: Sequence[Trial]
 ) -> list[dict[str, FloatArray]]:
     """Simulated positions of each trial: joint -> (n,) encoder readings, rad or m.

@@ -14,7 +14,7 @@ from pytest_twin.errors import FormatError, RecordingError
 from pytest_twin.formats.recording import Recording
 from pytest_twin.formats.stamps import carriers_of
 from pytest_twin.trial.joint_side import states_at_joints
-from pytest_twin.trial.joints import in_model_names, named_by_actuators
+from pytest_twin.trial.joints import in_model_names, name_by_actuators
 from pytest_twin.trial.read import recordings_at
 from pytest_twin.twin import Twin
 
@@ -69,7 +69,7 @@ def poses_of(recordings: Sequence[Recording], structure: Structure, twin: Twin) 
         series = recording.series.get("state")
         if series is None or series.position is None:
             continue
-        series, _ = named_by_actuators(series, twin.recordings.joints, structure.actuator_joints)
+        series, _ = name_by_actuators(series, twin.recordings.joints, structure.actuator_joints)
         try:
             series, _ = in_model_names(series, twin.recordings.joints, scalar, recording.path)
         except RecordingError:
@@ -87,7 +87,7 @@ def poses_of(recordings: Sequence[Recording], structure: Structure, twin: Twin) 
     return Poses(joints, positions[keep], f"over this data's poses ({len(keep)} of them)")
 
 
-def drawn_poses(structure: Structure) -> Poses:
+def draw_poses(structure: Structure) -> Poses:
     """Random poses, uniform in the joint ranges, for data without joint positions.
 
     A joint without a range is drawn from -pi to pi rad, or from -0.1 m to 0.1 m.

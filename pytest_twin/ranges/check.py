@@ -15,8 +15,8 @@ from pytest_twin.metrics.envelope import (
     deviation_from_uniform,
     envelope,
     histogram,
-    inside,
     integral_transform,
+    is_inside,
     smallest_half_width,
 )
 from pytest_twin.ranges.simulate import Traces
@@ -141,7 +141,7 @@ def _joint(
         lengths.append(len(measured))
     coverage = _coverage(found, [joint], 1.0 - level)
     shares = np.average([histogram(t)[0] for t in transforms], axis=0, weights=lengths)
-    robots_shares = np.average(_common(of_robots), axis=0, weights=lengths)
+    robots_shares = np.average(_cut_to_common(of_robots), axis=0, weights=lengths)
     unevenness = float(deviation_from_uniform(shares))
     # Each simulated robot is treated as the measured one, to get the distribution of the statistic.
     chance = _share_at_least(deviation_from_uniform(robots_shares), unevenness)
@@ -202,12 +202,12 @@ def _coverage(found: Sequence[PredictedRecording], joints: Sequence[str], level:
     for one in found:
         columns = [one.traces.joints.index(j) for j in joints if j in one.traces.joints]
         bounds = one.envelope
-        own = inside(one.traces.measured, bounds)[:, columns]
+        own = is_inside(one.traces.measured, bounds)[:, columns]
         hits.append(float(own.sum()))
-        others = inside(one.robots[:_REFERENCE], bounds)[:, :, columns]
+        others = is_inside(one.robots[:_REFERENCE], bounds)[:, :, columns]
         robots.append(others.sum(axis=(1, 2)))
         samples += own.size
-    each = np.sum(_common(robots), axis=0) / samples
+    each = np.sum(_cut_to_common(robots), axis=0) / samples
     mean, variance = float(each.mean()), float(each.var())
     bound = mean * (1.0 - mean)
     effective = float(np.clip(bound / max(variance, 1e-300), 1.0, samples))
@@ -223,7 +223,7 @@ def _column(found: Envelope, column: int) -> Envelope:
     return Envelope(*(part[:, [column]] for part in (found.lower, found.middle, found.upper)))
 
 
-def _common(parts: Sequence[FloatArray]) -> list[FloatArray]:
+def _cut_to_common(parts: Sequence[FloatArray]) -> list[FloatArray]:
     """Cut all parts to the smallest number of robots."""
     least = min(len(part) for part in parts)
     return [part[:least] for part in parts]
@@ -250,14 +250,14 @@ def _sharpness(
             measured.append(float(np.log(width / need)))
             robots.append(np.log(width / each))
     mine = float(np.mean(measured))
-    return float(np.exp(mine)), _share_at_least(np.mean(_common(robots), axis=0), mine)
+    return float(np.exp(mine)), _share_at_least(np.mean(_cut_to_common(robots), axis=0), mine)
 
 
 def _share_at_least(values: FloatArray, value: float) -> float:
     return float((np.sum(values >= value) + 1.0) / (len(values) + 1.0))
 
 
-def plotted(found: Sequence[PredictedRecording]) -> list[dict[str, Any]]:
+def plot_data(found: Sequence[PredictedRecording]) -> list[dict[str, Any]]:
     """Return envelopes and traces, reduced to the number of samples of a report."""
     out = []
     for one in found:

@@ -64,7 +64,7 @@ def collect_uncertain_parameters(
             expected="identification.json under fit:, or calibration.json under calibrations:; "
             "pytest-twin identify and pytest-twin calibrate write them",
         )
-    whole = _together(parts)
+    whole = _combine_records(parts)
     notes: list[str] = []
     whole = spread_over_trials(whole, twin, realization, notes)
     whole = with_tolerances(whole, twin, realization)
@@ -137,7 +137,7 @@ def _without(found: RecordCoordinates, later: Sequence[RecordCoordinates]) -> Re
     )
 
 
-def _together(parts: Sequence[RecordCoordinates]) -> RecordCoordinates:
+def _combine_records(parts: Sequence[RecordCoordinates]) -> RecordCoordinates:
     """Combine all records as independent."""
     covariance: FloatArray = linalg.block_diag(*(part.covariance for part in parts))
     coordinates: list[Coordinate] = []

@@ -97,7 +97,7 @@ def _entry(term: Term, one: Quantity, groups: Sequence[TrialGroup], share: float
     times = (high - low) / measured if measured > 0.0 else None
     inside = float(np.mean((one.draws >= low) & (one.draws <= high)))
     lost = [f"{100.0 * (1.0 - inside):.0f} % of it"] if inside < share else []
-    lost += _left_out(one, groups, low, high)
+    lost += _excluded_measurements(one, groups, low, high)
     words = (
         f"{one.name}: the given range {_interval((low, high), one.unit)} is {_times(times)} what "
         f"was measured ({_interval(one.range, one.unit)})"
@@ -131,7 +131,7 @@ def _given_range(term: Term, nominal: float, share: float) -> tuple[float, float
     return min(first, second), max(first, second)
 
 
-def _left_out(
+def _excluded_measurements(
     one: Quantity, groups: Sequence[TrialGroup], low: float, high: float
 ) -> Iterator[str]:
     for group in groups:

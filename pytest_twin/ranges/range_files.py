@@ -111,20 +111,20 @@ def _of_table(data: Mapping[str, Any], skipped: list[str]) -> list[Term]:
             term
             for one in _list(data["quantities"])
             if isinstance(one, Mapping)
-            and (term := _plain(str(one.get("name")), one.get("range"), skipped)) is not None
+            and (term := _plain_range(str(one.get("name")), one.get("range"), skipped)) is not None
         ]
     events = list(_mapped_events(data, ""))
     if events:
         return list(_of_events(events, skipped))
     found = []
     for name, value in data.items():
-        term = _plain(str(name), value, skipped)
+        term = _plain_range(str(name), value, skipped)
         if term is not None:
             found.append(term)
     return found
 
 
-def _plain(name: str, value: Any, skipped: list[str]) -> Term | None:
+def _plain_range(name: str, value: Any, skipped: list[str]) -> Term | None:
     """Return the term of one range; None with a line in ``skipped`` if it is no range."""
     numbers = _pair(value)
     if numbers is None or numbers[0] > numbers[1]:

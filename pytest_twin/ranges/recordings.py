@@ -39,7 +39,7 @@ class RecordingsByRole:
     notes: tuple[str, ...]
 
 
-def checked_recordings(
+def read_check_recordings(
     twin: Twin,
     realization: Realization,
     final: Sequence[Path],

@@ -13,16 +13,16 @@ from pytest_twin import __version__
 from pytest_twin.diagnosis.noise import sensor_noise
 from pytest_twin.diagnosis.patched.model import patched_of
 from pytest_twin.ranges.bodies import Body
-from pytest_twin.ranges.check import FEWEST_ROBOTS, assess, plotted, predict_envelopes
+from pytest_twin.ranges.check import FEWEST_ROBOTS, assess, plot_data, predict_envelopes
 from pytest_twin.ranges.distribution import Distribution
 from pytest_twin.ranges.gather import UncertainParameters, collect_uncertain_parameters
 from pytest_twin.ranges.quantities import quantities
 from pytest_twin.ranges.range_comparison import compare
 from pytest_twin.ranges.range_files import read_ranges
-from pytest_twin.ranges.recordings import RecordingsByRole, checked_recordings
+from pytest_twin.ranges.recordings import RecordingsByRole, read_check_recordings
 from pytest_twin.ranges.simulate import Traces, VariedRobots
 from pytest_twin.ranges.summary import summary_lines
-from pytest_twin.ranges.widening import fewest_robots, widened
+from pytest_twin.ranges.widening import fewest_robots, widen
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.sandbox import MEMORY_BYTES
 from pytest_twin.recording_options import RecordingOptions
@@ -104,7 +104,7 @@ def ranges(
     count = request.draws or twin.ranges.draws
     found = collect_uncertain_parameters(twin, realization, patched)
     options = RecordingOptions.from_json(request.options or {}).over(twin.recordings)
-    checked = checked_recordings(
+    checked = read_check_recordings(
         twin, realization, request.final, request.held_out, options,
         {**twin.topics, **(request.topics or {})},
     )  # fmt: skip
@@ -114,7 +114,7 @@ def ranges(
     if checked.final:
         robots.refuse_too_many(checked.final, count)
     noise = _noise(robots, checked)
-    distribution, widening = _widened(found, checked, robots, noise, count, share, progress)
+    distribution, widening = _widen(found, checked, robots, noise, count, share, progress)
     document = _document(twin, realization, found, distribution, share, noise, checked)
     document["widening"] = widening
     if given is not None:
@@ -132,7 +132,7 @@ def ranges(
         steps, seconds = robots.steps - before[0], robots.seconds - before[1]
         envelopes = predict_envelopes(traces, noise, share, _SEED)
         document["check"] = assess(envelopes, share)
-        document["envelopes"] = plotted(envelopes)
+        document["envelopes"] = plot_data(envelopes)
         document["throughput"] = {
             "robots": count, "simulated": steps * float(realization.model.opt.timestep),
             "steps": steps, "seconds": seconds, "steps_per_second": steps / max(seconds, 1e-9),
@@ -155,7 +155,7 @@ def _noise(robots: VariedRobots, checked: RecordingsByRole) -> dict[str, float]:
     return {joint: float(np.median(values)) for joint, values in found.items()}
 
 
-def _widened(
+def _widen(
     found: UncertainParameters,
     checked: RecordingsByRole,
     robots: VariedRobots,
@@ -176,7 +176,7 @@ def _widened(
     drawn = max(min(count, _WIDENING_DRAWS), fewest_robots(len(recorded)))
     joints = {one.joint for one in found.distribution.coordinates if one.joint is not None}
     carrying = {joint: robots.carrying(joint) for joint in joints}
-    return widened(found.distribution, simulate, noise, carrying, share)
+    return widen(found.distribution, simulate, noise, carrying, share)
 
 
 def _document(
@@ -197,8 +197,8 @@ def _document(
         )
     if not checked.final:
         notes.append(
-            "no final recording: the ranges are not checked; record some that guide nothing, with "
-            "the role final in their metadata, and name them with --final"
+            "no final recording: the ranges are not checked; record some that no fit or choice "
+            "uses, with the role final in their metadata, and name them with --final"
         )
     if names := _only_in_sampler(distribution):
         notes.append(

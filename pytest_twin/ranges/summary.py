@@ -38,7 +38,7 @@ def summary_lines(document: Mapping[str, Any]) -> list[str]:
     if document["against"] is not None:
         lines += [f"against {document['against']['file']}:"]
         lines += [one["words"] for one in document["against"]["entries"]]
-        lines += [f"it leaves as it is: {one}" for one in document["against"]["not_given"]]
+        lines += [f"not varied by the file: {one}" for one in document["against"]["not_given"]]
     return [*lines, *_advice(document)]
 
 
@@ -51,7 +51,7 @@ def _joint(name: str, one: Mapping[str, Any]) -> str:
     return (
         f"{name}: coverage {_percent(one['coverage'])} ({_percent(one['coverage_interval'][0])} to "
         f"{_percent(one['coverage_interval'][1])}), envelope {1e3 * one['width']:.3g} {unit} wide "
-        f"on average, {one['width_over_tightest']:.2g} times the tightest that covers{even}"
+        f"on average, {one['width_over_tightest']:.2g} times the narrowest band that covers{even}"
     )
 
 
@@ -79,8 +79,8 @@ def _advice(document: Mapping[str, Any]) -> list[str]:
     check = document["check"]
     if check is None:
         lines.append(
-            "to do: record motions of the task that guide nothing, with the role final, and name "
-            "them with --final"
+            "to do: record motions of the task that no fit or choice uses, with the role final, "
+            "and name them with --final"
         )
     elif document["verdict"] == "too_narrow":
         where = ", ".join(check["outside"]) or "all joints together"

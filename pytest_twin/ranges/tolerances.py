@@ -68,11 +68,13 @@ def _of_mass(
         for k, axis in enumerate(AXES)
         if f"{name}.inertia.{axis}" not in known
     ]
-    grown = _grown(found, missing, body if name not in {b.name for b in found.bodies} else None)
+    grown = _append_coordinates(
+        found, missing, body if name not in {b.name for b in found.bodies} else None
+    )
     places = [one.name for one in grown.coordinates]
     step = np.zeros(len(places))
     step[[places.index(f"{name}.inertia.{axis}") for axis in AXES]] = std * body.scaling
-    return _added(grown, np.outer(step, step), tolerance.parameter)
+    return _add_covariance(grown, np.outer(step, step), tolerance.parameter)
 
 
 def _of_parameter(
@@ -80,7 +82,7 @@ def _of_parameter(
 ) -> RecordCoordinates:
     names = [one.name for one in found.coordinates]
     if tolerance.parameter not in names:
-        found = _grown(found, [_declared(tolerance, where, twin, realization)], None)
+        found = _append_coordinates(found, [_declared(tolerance, where, twin, realization)], None)
         names.append(tolerance.parameter)
     place = names.index(tolerance.parameter)
     std = tolerance.half_width / _UNIFORM
@@ -96,7 +98,7 @@ def _of_parameter(
         std *= abs(mean)
     step = np.zeros(len(names))
     step[place] = std
-    return _added(found, np.outer(step, step), tolerance.parameter)
+    return _add_covariance(found, np.outer(step, step), tolerance.parameter)
 
 
 def _declared(tolerance: Tolerance, where: str, twin: Twin, realization: Realization) -> Coordinate:
@@ -127,7 +129,7 @@ def _joints(realization: Realization) -> list[str]:
             if kind in ("hinge", "slide")]  # fmt: skip
 
 
-def _grown(
+def _append_coordinates(
     found: RecordCoordinates, more: Sequence[Coordinate], body: Body | None
 ) -> RecordCoordinates:
     before = len(found.coordinates)
@@ -141,7 +143,9 @@ def _grown(
     )
 
 
-def _added(found: RecordCoordinates, covariance: FloatArray, name: str) -> RecordCoordinates:
+def _add_covariance(
+    found: RecordCoordinates, covariance: FloatArray, name: str
+) -> RecordCoordinates:
     std = np.sqrt(np.diag(covariance))
     return replace(
         found,

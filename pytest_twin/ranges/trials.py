@@ -60,13 +60,15 @@ def spread_over_trials(
     estimates = np.array([[group.record.values[name] for name in own] for group in groups])
     stated = np.array([[group.conditions[name] for name in conditions] for group in groups])
     table = np.hstack([estimates, stated.reshape(len(groups), len(conditions))])
-    between = _between(table, np.mean([_covariance(group, own) for group in groups], axis=0))
+    between = _between_covariance(
+        table, np.mean([_covariance(group, own) for group in groups], axis=0)
+    )
     factor = _prediction_factor(len(groups))
     notes.append(
         f"spread over {len(groups)} groups of trials: standard deviations times {factor:.2f}, "
-        f"because {len(groups)} groups tell a spread with {len(groups) - 1} degrees of freedom"
+        f"because {len(groups)} groups determine a spread with {len(groups) - 1} degrees of freedom"
     )
-    return _grown(found, shared, conditions, table, between * factor**2)
+    return _add_between_covariance(found, shared, conditions, table, between * factor**2)
 
 
 def _covariance(group: TrialGroup, names: list[str]) -> FloatArray:
@@ -84,7 +86,7 @@ def _covariance(group: TrialGroup, names: list[str]) -> FloatArray:
     return found
 
 
-def _between(table: FloatArray, within: FloatArray) -> FloatArray:
+def _between_covariance(table: FloatArray, within: FloatArray) -> FloatArray:
     """(k, k) covariance of estimates and conditions between groups; conditions have no error."""
     scale = table.std(axis=0, ddof=1)
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -107,7 +109,7 @@ def _prediction_factor(groups: int) -> float:
     return float(stats.t.ppf(0.975, freedom) / Z95 * np.sqrt(1.0 + 1.0 / groups))
 
 
-def _grown(
+def _add_between_covariance(
     found: RecordCoordinates,
     shared: list[int],
     conditions: list[str],

@@ -67,7 +67,7 @@ def fewest_robots(joints: int) -> int:
     return math.ceil(max(joints, 1) / LEVEL)
 
 
-def widened(
+def widen(
     start: Distribution,
     simulate: Simulate,
     noise: Mapping[str, float],
@@ -134,14 +134,15 @@ def _factor(
 
 
 def _next_factor(factor: float, ratio: float, best: tuple[float, float]) -> float:
-    """The factor to try next.
+    """Return the factor to try next.
 
-    Friction that varies too much locks robots, which then deviate less than with narrower ranges:
-    after a factor that made the ratio worse, one between it and the best so far is tried.
+    With too much friction some simulated robots do not move at all, so that a larger factor can
+    reduce their spread. After a factor that increased the ratio, the geometric mean of it and the
+    best factor is tried.
 
     Args:
-        factor, ratio: the last ones tried.
-        best: factor and ratio of the least ratio so far.
+        factor, ratio: last factor tried, and the ratio with it.
+        best: factor with the smallest ratio so far, and this ratio.
     """
     if ratio > best[1]:
         return float(np.sqrt(factor * best[0]))
@@ -149,7 +150,7 @@ def _next_factor(factor: float, ratio: float, best: tuple[float, float]) -> floa
 
 
 def _distance(found: Mapping[str, Deviation], factors: Mapping[str, float]) -> float:
-    """How far the worst of the widened joints is from the ratio 1, as a logarithm."""
+    """Return the largest ``|log(ratio)|`` of the widened joints; 0 if all deviate as predicted."""
     return max((abs(float(np.log(max(found[j].ratio, 1e-9)))) for j in factors), default=0.0)
 
 

@@ -19,7 +19,7 @@ _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 """Angle between consecutive points of an even spiral on the sphere, rad."""
 
 
-def convex(vertices: Vector, faces: Faces) -> coal.Convex:
+def convex_hull(vertices: Vector, faces: Faces) -> coal.Convex:
     """Convex hull for coal; a coarser hull where a vertex has too many neighbours.
 
     Args:

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from pytest_twin.errors import ModelError
 from pytest_twin.realization import simulate
-from pytest_twin.realization.coal_hull import convex, outward_faces
+from pytest_twin.realization.coal_hull import convex_hull, outward_faces
 from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
@@ -187,7 +187,7 @@ class Shapes:
             ) from error
         corner = np.full(len(points), -1)
         corner[hull.vertices] = np.arange(len(hull.vertices))
-        return convex(points[hull.vertices], corner[outward_faces(hull, points)])
+        return convex_hull(points[hull.vertices], corner[outward_faces(hull, points)])
 
 
 def hull_points(model: mujoco.MjModel, spec: mujoco.MjSpec, mesh: int) -> Vector:
@@ -225,7 +225,7 @@ def _disabling_reasons(realization: Realization) -> Iterator[tuple[tuple[str, st
     """Yield each pair of bodies that could collide, and the reason why it is disabled, or ''."""
     model = realization.model
     names = _body_names(realization)
-    excluded = _excluded(model)
+    excluded = _excluded_pairs(model)
     bodies = _bodies(model)
     explicit = {
         frozenset((int(first), int(second)))
@@ -278,7 +278,7 @@ def _candidates(model: mujoco.MjModel, bodies: dict[int, list[int]]) -> Iterator
             yield a, b
 
 
-def _excluded(model: mujoco.MjModel) -> set[tuple[int, int]]:
+def _excluded_pairs(model: mujoco.MjModel) -> set[tuple[int, int]]:
     pairs = set()
     for signature in model.exclude_signature:
         a, b = int(signature) >> 16, int(signature) & 0xFFFF

@@ -150,13 +150,13 @@ def poses_of(
         rows = order[begin : begin + width]
         count = int(np.ceil(float(last[rows].max()) / step - 1e-9)) + 1
         own = None if pushes is None else [pushes[row] for row in rows]
-        found[:, rows] = _interpolated(
-            _simulated_poses(models, body, states[rows], count, own), step, times[rows]
+        found[:, rows] = _interpolate(
+            _simulate_poses(models, body, states[rows], count, own), step, times[rows]
         )
     return found
 
 
-def _simulated_poses(
+def _simulate_poses(
     models: Sequence[mujoco.MjModel],
     body: FreeBody,
     states: FloatArray,
@@ -215,7 +215,7 @@ def _full_states(model: mujoco.MjModel, body: FreeBody, states: FloatArray) -> F
     return found
 
 
-def _interpolated(path: FloatArray, step: float, times: FloatArray) -> FloatArray:
+def _interpolate(path: FloatArray, step: float, times: FloatArray) -> FloatArray:
     """Interpolate (m, t, s, 7) poses at (t, n) times; (m, t, n, 7), NaN where a time is NaN."""
     asked = np.isfinite(times)
     place = np.where(asked, times, 0.0) / step

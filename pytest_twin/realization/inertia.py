@@ -67,7 +67,7 @@ def violation(inertia: Matrix) -> float:
     return share if share > LAST_DIGITS else 0.0
 
 
-def consistent(inertia: Matrix, floor: float = 0.0) -> Matrix:
+def nearest_consistent(inertia: Matrix, floor: float = 0.0) -> Matrix:
     """Nearest consistent inertia (3, 3): no negative second moment, moments of at least ``floor``.
 
     The largest moment stays, and the other two grow until the triangle inequality holds.

@@ -12,7 +12,7 @@ from pytest_twin.errors import ModelError, SpecError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import mjcf, patch, urdf, urdf_spec
-from pytest_twin.realization.files.locate import Located, locate
+from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
@@ -22,8 +22,8 @@ from pytest_twin.realization.source import Source
 from pytest_twin.twin import USD_SUFFIXES, Fit, Simulator, Twin, effects_file_next_to
 
 
-# A public function : each keyword is independent of the others, and most callers
-# use one or two. An object of options would break them and save nothing.
+# Public: its keywords are independent of each other, and most callers give one or two. An object
+# of options would break them and save nothing.
 def load(  # noqa: PLR0913
     path: Path,
     *,
@@ -31,7 +31,7 @@ def load(  # noqa: PLR0913
     name: str = "mujoco",
     roots: Roots | None = None,
     search: SearchFolders | None = None,
-    located: Located | None = None,
+    located: ModelFolders | None = None,
     accept_invalid_inertia: bool = False,
     shapes: bool = True,
     limits: ModelLimits = LIMITS,
@@ -116,7 +116,7 @@ def load(  # noqa: PLR0913
     if twin is not None and effects is None and base is not None:
         patch.place_base(spec, base, refuse=twin.error, where="calibration.base")
     try:
-        model, warned = mjcf.compiled(spec)
+        model, warned = mjcf.compile_spec(spec)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise mjcf.translate(error, path, places) from None
     said = tuple(f"{path}: MuJoCo warns: {words}" for words in warned)
@@ -134,7 +134,7 @@ def load(  # noqa: PLR0913
     if simulator == "newton":
         from pytest_twin.realization import newton
 
-        loaded.source = replace(source, notes=(*source.notes, *newton.left_out(loaded)))
+        loaded.source = replace(source, notes=(*source.notes, *newton.omitted_forces(loaded)))
     return loaded
 
 

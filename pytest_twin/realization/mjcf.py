@@ -147,7 +147,7 @@ def build(document: Document) -> mujoco.MjSpec:
         raise translate(error, document.root.path, document.places) from None
 
 
-def compiled(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+def compile_spec(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """Compile a spec; the model, and the compiler's warnings, one line each."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -37,7 +37,7 @@ def write(spec: mujoco.MjSpec, path: Path, meshes: Mapping[str, Path]) -> mujoco
         mesh.uservert, mesh.userface = [], []
         spec.assets[mesh.file] = meshes[mesh.name].read_bytes()
     try:
-        mjcf.compiled(spec)
+        mjcf.compile_spec(spec)
         written = text(spec)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise mjcf.translate(error, path, None) from None

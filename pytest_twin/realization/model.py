@@ -47,15 +47,15 @@ class Realization(NamedModel):
         twin = self.twin
         spec = self.spec.copy()
         if controller is not None:
-            actuators = _declared(twin, "controllers", controller)
+            actuators = _declared_table(twin, "controllers", controller)
             patch.apply_controller(
                 spec, actuators, where=f"controllers.{controller}", refuse=twin.error
             )
         if payload is not None:
-            bodies = _declared(twin, "payloads", payload)
+            bodies = _declared_table(twin, "payloads", payload)
             patch.apply_payload(spec, bodies, where=f"payloads.{payload}", refuse=twin.error)
         try:
-            model, warned = mjcf.compiled(spec)
+            model, warned = mjcf.compile_spec(spec)
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             raise ModelError(
                 f"MuJoCo refuses the variant: {' '.join(str(error).split())}",
@@ -103,7 +103,7 @@ class Realization(NamedModel):
         return Reference(self)
 
 
-def _declared(twin: Twin, table: str, key: str) -> Mapping[str, Any]:
+def _declared_table(twin: Twin, table: str, key: str) -> Mapping[str, Any]:
     declared = getattr(twin, table)
     if key not in declared:
         raise twin.error(table, f"no {key!r} there", expected=patch.suggest(key, declared))

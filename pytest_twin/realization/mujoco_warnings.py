@@ -9,7 +9,7 @@ import mujoco
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
+def suppress_mujoco_warnings() -> Iterator[None]:
     """Suppress MuJoCo's warnings within a block; warning counters and errors report the same."""
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)

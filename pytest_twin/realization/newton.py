@@ -25,7 +25,7 @@ from pytest_twin.errors import ModelError, SpecError, TwinError
 from pytest_twin.metrics.pose import rotation_of
 from pytest_twin.realization.inertia import compiled_inertia
 from pytest_twin.realization.model import Realization
-from pytest_twin.realization.simulate import Run, diverged
+from pytest_twin.realization.simulate import Run, divergence_error
 from pytest_twin.realization.usd_names import display_name, link_prims
 
 Vector = NDArray[np.float64]
@@ -60,36 +60,36 @@ def require(path: Path) -> None:
 
 
 def _newton() -> Any:
-    """Newton's module, with Warp told to print warnings alone, not each kernel that it compiles."""
+    """Import Newton; Warp prints only warnings, not every kernel that it compiles."""
     warp = importlib.import_module("warp")
     warp.config.log_level = warp.LOG_WARNING
     return importlib.import_module("newton")
 
 
-def left_out(realization: Realization) -> tuple[str, ...]:
-    """Refuse what Newton would leave out of a drive, and say what it leaves out of a joint.
+def omitted_forces(realization: Realization) -> tuple[str, ...]:
+    """Return the forces of a model that Newton does not simulate.
 
     Returns:
-        One line for each kind of force that the model states and Newton's solver has not.
+        One line for each kind of force at joints that the model has and Newton's solver lacks.
 
     Raises:
         ModelError: an actuator other than a motor or a servo of one joint.
     """
     model = realization.model
     for actuator in range(model.nactuator):
-        plain = (
+        is_supported = (
             model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
             and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
             and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
             and int(model.actuator_biastype[actuator]) in _PLAIN_BIASES
         )
-        if not plain:
+        if not is_supported:
             raise ModelError(
                 f"Newton has no actuator like {model.actuator(actuator).name!r}",
                 path=realization.path,
                 expected="motors, position servos and velocity servos of single joints",
             )
-    left_out = {
+    omitted = {
         "dry friction": model.dof_frictionloss != 0.0,
         "force limits of joints": model.jnt_actfrclimited != 0,
         "force limits of actuators": model.actuator_forcelimited != 0,
@@ -97,7 +97,7 @@ def left_out(realization: Realization) -> tuple[str, ...]:
     return tuple(
         f"{realization.path}: Newton's Featherstone solver has no {name}; the model states them "
         f"for {int(np.count_nonzero(stated))} of {len(stated)}"
-        for name, stated in left_out.items()
+        for name, stated in omitted.items()
         if np.any(stated)
     )
 
@@ -133,10 +133,10 @@ def simulate(
     """Step the stage on from the state of ``data`` under its controls and applied forces.
 
     Args:
-        realization: its path is the stage.
-        model: :func:`pytest_twin.realization.simulate.prepared_model` of it. Without contacts.
-        data: takes the last state.
-        steps: of the model's timestep. Each is split where the drives need shorter ones.
+        realization: the realization whose path is the stage.
+        model: its :func:`pytest_twin.realization.simulate.prepare_model`, with contacts disabled.
+        data: initial state, controls and applied forces; contains the last state afterwards.
+        steps: number of steps of the model's timestep; stiff drives are simulated with substeps.
         progress: called with the fraction done.
 
     Returns:
@@ -178,7 +178,7 @@ def simulate(
         qvel[k] = stage.values(state.joint_qd)
         if not np.isfinite(qvel[k]).all() or np.abs(qvel[k]).max() > _FASTEST:
             speed = np.where(np.isfinite(qvel[k]), np.abs(qvel[k]), np.inf)
-            raise diverged(model, int(np.argmax(speed)), float(time[k]))
+            raise divergence_error(model, int(np.argmax(speed)), float(time[k]))
         for _ in range(substeps if k < steps else 0):
             state.clear_forces()
             solver.step(state, following, control, None, timestep / substeps)
@@ -216,10 +216,11 @@ def _energies(
 
 
 class _Drives:
-    """Actuators as Newton has them: ``stiffness * (target - q) - damping * v + effort``.
+    """Actuators in Newton's form: ``stiffness * (target - q) - damping * v + effort``.
 
     Attributes:
-        stiffness, damping, target, effort: (nv,) by degree of freedom of the model.
+        stiffness, damping, target, effort: (nv,) values by degree of freedom of the model: N*m/rad
+            or N/m, N*m*s/rad or N*s/m, rad or m, N*m or N.
     """
 
     def __init__(
@@ -247,7 +248,14 @@ class _Drives:
         self.effort[held] = 0.0
 
     def substeps(self, timestep: float) -> int:
-        """Into how many parts a timestep in s is split for explicit integration."""
+        """Return the number of substeps with which explicit integration is stable.
+
+        Args:
+            timestep: timestep of the model, s.
+
+        Raises:
+            ModelError: a drive needs more than ``_MOST_SUBSTEPS``.
+        """
         inertia = self.model.dof_M0
         needed = max(
             float(np.max((self.damping + self.model.dof_damping) / inertia)) / _DAMPING_STEP,
@@ -265,12 +273,12 @@ class _Drives:
 
 
 class _Stage:
-    """A stage in Newton, and which of its numbers are which joint and link.
+    """A stage in Newton, with the indices of joints and links.
 
     Attributes:
-        builder: Newton's, as it read the stage.
-        bodies: link -> index of its body.
-        fixed: link without a body -> its parent (None: the world) and (4, 4) in it.
+        builder: Newton's model builder, after reading the stage.
+        bodies: link -> index of its body in Newton.
+        fixed: link without a body -> its parent (None: the world) and (4, 4) pose in the parent.
     """
 
     def __init__(self, path: Path, joints: tuple[str, ...]) -> None:
@@ -318,7 +326,7 @@ class _Stage:
         self._dofs = [int(starts[joint_of[name]]) for name in joints]
 
     def by_dof(self, values: Vector) -> NDArray[np.float32]:
-        """Values (n,) of the model's joints in Newton's order; each joint has one."""
+        """Convert (n,) values of the model's joints to Newton's order; each joint has one."""
         found = np.zeros(self.builder.joint_dof_count, dtype=np.float32)
         found[self._dofs] = values
         return found
@@ -333,12 +341,12 @@ class _Stage:
         return offset if link is None else _matrix(bodies[self.bodies[link]]) @ offset
 
     def values(self, array: Any) -> Vector:
-        """Newton's joint array in the model's order."""
+        """Convert Newton's joint array to the model's order, (n,)."""
         values: Vector = array.numpy()[self._dofs].astype(np.float64)
         return values
 
     def with_parameters(self, model: mujoco.MjModel, drives: _Drives) -> Any:
-        """Newton's model with the masses, joints, drives and gravity of ``model``."""
+        """Return Newton's model with the masses, joints, drives and gravity of ``model``."""
         made = self.builder.finalize(device="cpu")
         made.joint_armature.assign(self.by_dof(model.dof_armature))
         made.joint_damping.assign(self.by_dof(model.dof_damping))
@@ -379,7 +387,7 @@ def _read_stage(path: Path, modified_ns: int, joints: tuple[str, ...]) -> _Stage
 
 
 def _matrix(transform: Vector) -> Vector:
-    """(4, 4) of Newton's x y z, qx qy qz qw."""
+    """Return the (4, 4) matrix of Newton's transform: x y z [m], qx qy qz qw."""
     pose = np.eye(4)
     pose[:3, :3] = rotation_of(np.roll(transform[3:], 1))
     pose[:3, 3] = transform[:3]

@@ -158,7 +158,7 @@ class _BodyInertia:
         The axes are those of the body.
         """
         if self._model is None:
-            self._model, _ = mjcf.compiled(self._spec)
+            self._model, _ = mjcf.compile_spec(self._spec)
             self._make_explicit(self._model)
         return _compiled_inertia(self._model, body.name)
 

@@ -152,7 +152,7 @@ class _Builder:
         if shape:
             found = self._from_geoms(body)
         elif body.explicitinertial:
-            found = _stated(body)
+            found = _stated_inertia(body)
         else:
             found = _NOTHING
         bounded = compiler.boundmass > found[0] or compiler.boundinertia > 0
@@ -164,7 +164,7 @@ class _Builder:
         low, high = body.compiler.inertiagrouprange
         chosen = [geom for geom in body.geoms if low <= geom.group <= high]
         if not chosen and body.explicitinertial:
-            return _stated(body)
+            return _stated_inertia(body)
         parts: list[Inertia] = []
         for geom in chosen:
             found = self._geom(geom)
@@ -261,7 +261,7 @@ class _Builder:
         return float(model.body_mass[index]), model.body_ipos[index].copy(), tensor
 
 
-def _stated(body: mujoco.MjsBody) -> Inertia:
+def _stated_inertia(body: mujoco.MjsBody) -> Inertia:
     if not math.isnan(body.fullinertia[0]):
         tensor = inertia.tensor(np.array(body.fullinertia))
     else:

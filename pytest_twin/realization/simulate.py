@@ -41,7 +41,7 @@ _FATAL = (
 )
 
 
-def prepared_model(
+def prepare_model(
     realization: Realization,
     *,
     gravity: bool = True,
@@ -195,7 +195,7 @@ def hold(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:
     for actuator in range(model.nactuator):
         if command_kind(model, actuator) == "position":
             control[model.actuator_ctrladr[actuator]] = _setpoint(model, data, actuator)
-    data.ctrl[:] = clipped(model, control)
+    data.ctrl[:] = clip_controls(model, control)
     settle_actuators(model, data)
     return np.array(data.ctrl)
 
@@ -209,7 +209,7 @@ def _setpoint(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> floa
     return -(float(bias[0]) + float(bias[1]) * length) / gain
 
 
-def clipped(model: mujoco.MjModel, control: Vector) -> Vector:
+def clip_controls(model: mujoco.MjModel, control: Vector) -> Vector:
     """(nu,) controls, clipped to the declared ranges as in MuJoCo."""
     limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
     lower = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
@@ -314,7 +314,7 @@ def run(
 
     Args:
         realization: the realization.
-        model: :func:`prepared_model` of it.
+        model: :func:`prepare_model` of it.
         data: initial state; changed.
         steps: number of steps.
         progress: called with the fraction that is done, 0 to 1.
@@ -432,10 +432,10 @@ def check_finite(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     if not any(data.warning[kind].number for kind in _FATAL) and np.isfinite(data.qvel).all():
         return
     velocity = np.where(np.isfinite(data.qvel), np.abs(data.qvel), np.inf)
-    raise diverged(model, int(np.argmax(velocity)), float(data.time))
+    raise divergence_error(model, int(np.argmax(velocity)), float(data.time))
 
 
-def diverged(model: mujoco.MjModel, dof: int, time: float) -> SimulationError:
+def divergence_error(model: mujoco.MjModel, dof: int, time: float) -> SimulationError:
     """Error for a simulation that diverged at degree of freedom ``dof`` at ``time`` (s)."""
     joint = str(model.joint(int(model.dof_jntid[dof])).name)
     return SimulationError(
@@ -505,7 +505,7 @@ def _check_rows(model: mujoco.MjModel, time: Vector, qvel: Vector, begin: float)
         step = int(np.argmax(stopped.any(axis=0)))
         row = int(np.argmax(stopped[:, step]))
         velocity = np.where(np.isfinite(qvel[row, step]), np.abs(qvel[row, step]), np.inf)
-        raise diverged(model, int(np.argmax(velocity)), begin + step * timestep)
+        raise divergence_error(model, int(np.argmax(velocity)), begin + step * timestep)
 
 
 def resample(time: Vector, values: Vector, grid: Vector) -> Vector:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pytest_twin.realization import urdf
-from pytest_twin.realization.files.locate import Located
+from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.node import Node
 
 
@@ -40,7 +40,7 @@ class Source:
     velocity_limit: Mapping[str, float] = field(default_factory=dict)
     read: frozenset[Path] = frozenset()
     effects: Path | None = None
-    located: Located | None = None
+    located: ModelFolders | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -51,7 +51,7 @@ _MAX_NAMED = 4
 
 
 @dataclass(slots=True)
-class Converted:
+class ConvertedSpec:
     """MuJoCo spec of a URDF.
 
     Attributes:
@@ -80,7 +80,7 @@ def convert(
     inertia_patches: Mapping[str, Patch] | None = None,
     shapes: bool = True,
     limits: ModelLimits = LIMITS,
-) -> Converted:
+) -> ConvertedSpec:
     """Convert a URDF to a MuJoCo spec.
 
     Args:
@@ -118,7 +118,7 @@ class _Converter:
         self.shapes = shapes
         self.limits = limits
         self.spec = self._empty()
-        self.out = Converted(self.spec)
+        self.out = ConvertedSpec(self.spec)
         self.bodies: dict[str, mujoco.MjsBody] = {}
         self.stated: dict[str, tuple[float, Vector, Vector]] = {}
         self.other_axes: Counter[str] = Counter()
@@ -131,7 +131,7 @@ class _Converter:
     def note(self, node: Node, text: str) -> None:
         self.out.notes.append(f"{node.place}: {text}")
 
-    def run(self) -> Converted:
+    def run(self) -> ConvertedSpec:
         spec = self.spec
         spec.modelname = self.robot.node.attributes.get("name", "robot")
         spec.compiler.degree = False
@@ -322,7 +322,7 @@ class _Converter:
             if link.name in moving and not self._has_inertia(link):
                 raised.append(link)
                 mass = max(mass, inertia.MASS_FLOOR)
-                moments = inertia.consistent(moments, floor=inertia.MASS_FLOOR)
+                moments = inertia.nearest_consistent(moments, floor=inertia.MASS_FLOOR)
             body = self.bodies[link.name]
             if body.name != "world":
                 inertia.write(body, mass, com, moments)
@@ -375,7 +375,7 @@ class _Converter:
                 unit="kg*m^2",
                 expected="a <= b <= c with c <= a + b; state the true one under 'fit: body:'",
             )
-        repaired = inertia.consistent(moments)
+        repaired = inertia.nearest_consistent(moments)
         if share > inertia.ROUNDING:
             self.out.inertia_repairs[link.name] = inertia.six_components(repaired)
         why = "rounded digits" if share <= inertia.ROUNDING else "accepted repair"

@@ -70,7 +70,7 @@ def require() -> None:
         if importlib.util.find_spec(module) is None:
             raise missing("USD is left out")
     try:
-        with _quiet():
+        with _suppress_output():
             import_openusd()
             import urdf_usd_converter  # noqa: F401
     except ImportError as error:
@@ -113,7 +113,7 @@ def convert(urdf: Path, target: Path) -> None:
 
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".twin-usd-") as folder:
         try:
-            with _quiet(), _temporary(folder):
+            with _suppress_output(), _temporary(folder):
                 made = urdf_usd_converter.Converter(layer_structure=False).convert(
                     str(urdf), folder
                 )
@@ -184,7 +184,7 @@ def _temporary(folder: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def _suppress_output() -> Iterator[None]:
     """Suppress the output that OpenUSD writes directly to the descriptors 1 and 2."""
     saved: list[tuple[int, int]] = []
     with warnings.catch_warnings(), Path(os.devnull).open("w") as sink:

@@ -73,7 +73,7 @@ def check(
 
 def newest(root: Path) -> Path | None:
     """Folder of the release with the highest number, which need not be valid; None without any."""
-    found = folders.numbered(root / folders.RELEASES)
+    found = folders.numbered_releases(root / folders.RELEASES)
     return found[0][1] if found else None
 
 
@@ -90,7 +90,7 @@ def baseline(root: Path, *, now: datetime | None = None) -> Baseline:
     trusted = trusted_keys.load_trusted(root / trusted_keys.FOLDER)
     known: Release | None = None
     problems: list[str] = []
-    for number, path in folders.numbered(root / folders.RELEASES)[:_NEIGHBOURS]:
+    for number, path in folders.numbered_releases(root / folders.RELEASES)[:_NEIGHBOURS]:
         verdict = _check(path, root, trusted, now or datetime.now(UTC), remember=False)
         known = known or verdict.release
         if verdict.holds:
@@ -126,7 +126,7 @@ def _circumstances(
     path: Path, root: Path, trusted: Sequence[Key], release: Release, remember: bool
 ) -> Circumstances:
     number = folders.number_of(path)
-    neighbours = [] if number is None else folders.numbered(path.parent)
+    neighbours = [] if number is None else folders.numbered_releases(path.parent)
     newer = [entry for entry in neighbours if number is not None and entry[0] > number]
     older = [entry for entry in neighbours if number is not None and entry[0] < number]
     return Circumstances(

@@ -78,7 +78,7 @@ def open_envelope(
             raise ReleaseError(
                 "signed by a key that is not trusted",
                 value=key_id,
-                expected="one of " + ", ".join(sorted(short(known) for known in trusted)),
+                expected="one of " + ", ".join(sorted(short_key_id(known) for known in trusted)),
             )
         try:
             key.verify_signature(signature, envelope.pae())
@@ -94,7 +94,7 @@ def open_envelope(
     )
 
 
-def short(key_id: str) -> str:
+def short_key_id(key_id: str) -> str:
     """First 16 digits of a key id, for messages."""
     return key_id[:16]
 

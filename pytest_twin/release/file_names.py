@@ -33,7 +33,7 @@ def problem_with(name: str, limits: ReleaseLimits = LIMITS) -> str | None:
     return None
 
 
-def colliding(names: Iterable[str]) -> list[tuple[str, str]]:
+def colliding_names(names: Iterable[str]) -> list[tuple[str, str]]:
     """Pairs of names that are the same without case, or of which one is a folder of the other."""
     seen: dict[str, str] = {}
     found: list[tuple[str, str]] = []

@@ -26,7 +26,7 @@ def number_of(folder: Path) -> int | None:
     return int(folder.name) if _NUMBER.fullmatch(folder.name) else None
 
 
-def numbered(releases: Path) -> list[tuple[int, Path]]:
+def numbered_releases(releases: Path) -> list[tuple[int, Path]]:
     """(number, folder) of all releases in ``releases``, the highest number first.
 
     Raises:

@@ -23,7 +23,7 @@ from securesystemslib.signer import CryptoSigner, Key, SSlibKey
 from pytest_twin.errors import PathError, ReleaseError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
-from pytest_twin.release.envelope import short
+from pytest_twin.release.envelope import short_key_id
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
 
 FOLDER = "keys"
@@ -116,9 +116,9 @@ def require_trusted(signer: CryptoSigner, trusted: Sequence[Key], root: Path) ->
     key_id = signer.public_key.keyid
     if key_id not in {key.keyid for key in trusted}:
         raise ReleaseError(
-            f"the signing key {short(key_id)} is not a key that this twin trusts",
+            f"the signing key {short_key_id(key_id)} is not a key that this twin trusts",
             path=root / FOLDER,
-            expected=", ".join(sorted(short(key.keyid) for key in trusted))
+            expected=", ".join(sorted(short_key_id(key.keyid) for key in trusted))
             + f", or its public key added to {FOLDER}/ by an owner of the twin",
         )
 
@@ -131,7 +131,7 @@ def trust_first(root: Path, signer: CryptoSigner) -> str:
         PathError: it cannot be written.
     """
     folder = root / FOLDER
-    name = f"{short(signer.public_key.keyid)}.pub"
+    name = f"{short_key_id(signer.public_key.keyid)}.pub"
     try:
         with contextlib.suppress(OSError):
             folder.rmdir()

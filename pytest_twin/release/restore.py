@@ -24,7 +24,7 @@ KEPT = ".twin/before-rollback"
 
 
 @dataclass(frozen=True, slots=True)
-class Restored:
+class RollbackResult:
     """Result of a rollback.
 
     Attributes:
@@ -89,9 +89,9 @@ def last_validated(root: Path, now: datetime) -> Path:
         ReleaseError: there is none; the message states why each release was refused.
     """
     refused: list[str] = []
-    for number, folder in folders.numbered(root / folders.RELEASES):
+    for number, folder in folders.numbered_releases(root / folders.RELEASES):
         try:
-            release = authentic(folder, now)
+            release = read_authentic(folder, now)
         except TwinError as error:
             refused.append(f"release {number}: {error}")
             continue
@@ -106,7 +106,7 @@ def last_validated(root: Path, now: datetime) -> Path:
     )
 
 
-def authentic(folder: Path, now: datetime) -> Release:
+def read_authentic(folder: Path, now: datetime) -> Release:
     """Read a release that is signed by a trusted key and undamaged; it may have expired.
 
     Raises:
@@ -123,7 +123,7 @@ def authentic(folder: Path, now: datetime) -> Release:
     return verdict.release
 
 
-def restore(root: Path, folder: Path, *, now: datetime | None = None) -> Restored:
+def restore(root: Path, folder: Path, *, now: datetime | None = None) -> RollbackResult:
     """Restore the files of a release in a twin.
 
     All files are copied and checked before the first is replaced. Each file is replaced in one
@@ -139,7 +139,7 @@ def restore(root: Path, folder: Path, *, now: datetime | None = None) -> Restore
         PathError: a file cannot be written.
     """
     now = now or datetime.now(UTC)
-    release = authentic(folder, now)
+    release = read_authentic(folder, now)
     changed = [entry for entry in release.files if _differs(entry, root)]
     kept = root / KEPT / now.strftime("%Y%m%dT%H%M%SZ")
     with tempfile.TemporaryDirectory(prefix="twin-") as scratch:
@@ -157,7 +157,7 @@ def restore(root: Path, folder: Path, *, now: datetime | None = None) -> Restore
                 atomic.open_replacement(target) as sink,
             ):
                 shutil.copyfileobj(source, sink)
-    return Restored(release, tuple(places), kept if saved else None)
+    return RollbackResult(release, tuple(places), kept if saved else None)
 
 
 def _differs(entry: FileEntry, root: Path) -> bool:

@@ -86,11 +86,11 @@ def stated_ids(release: Release) -> dict[str, Any]:
             expected="a release of this version: run pytest --twin-release --twin-all",
         )
     named = {
-        "asset": _listed(ids.get("asset") or ids.get("realizations")),
+        "asset": _join_names(ids.get("asset") or ids.get("realizations")),
         "calibration": ids.get("calibration"),
         "fit": ids.get("fit"),
-        "controller": _listed(ids.get("controllers")),
-        "payload": _listed(ids.get("payloads")),
+        "controller": _join_names(ids.get("controllers")),
+        "payload": _join_names(ids.get("payloads")),
         "validation": f"release {header.number}",
     }
     return {
@@ -102,7 +102,7 @@ def stated_ids(release: Release) -> dict[str, Any]:
     }
 
 
-def _listed(names: Any) -> str | None:
+def _join_names(names: Any) -> str | None:
     return ", ".join(sorted(map(str, names))) or None if names else None
 
 
@@ -177,8 +177,8 @@ def judge(stamp: Stamp, keys: Sequence[Key], data: str, now: datetime) -> StampV
     except ReleaseError as error:
         return StampVerdict(None, (str(error),))
     problems = [
-        f"{name}: the stamp says {_shown(stamp.ids[name])}, release {release.number} says "
-        f"{_shown(value)}"
+        f"{name}: the stamp says {_format(stamp.ids[name])}, release {release.number} says "
+        f"{_format(value)}"
         for name, value in expected.items()
         if stamp.ids[name] != value
     ]
@@ -192,6 +192,6 @@ def judge(stamp: Stamp, keys: Sequence[Key], data: str, now: datetime) -> StampV
     return StampVerdict(release, tuple(problems))
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     text = json.dumps(value)
     return text if len(text) <= 120 else text[:117] + "..."

@@ -76,19 +76,19 @@ def carriers_in_child(dataset: Path, *, writable: bool) -> list[Carrier]:
 
 def read_text(path: str) -> str | None:
     """Read the text of a stamp; runs in the child process."""
-    return _only(path).read()
+    return _single_carrier(path).read()
 
 
 def write_text(path: str, text: str) -> None:
     """Write the text of a stamp; runs in the child process."""
-    _only(path).write(text)
+    _single_carrier(path).write(text)
 
 
 def digest(path: str) -> str:
     """Digest of the stamped content, hex; runs in the child process."""
-    return _only(path).digest()
+    return _single_carrier(path).digest()
 
 
-def _only(path: str) -> Carrier:
+def _single_carrier(path: str) -> Carrier:
     (found,) = carriers_of(Path(path))
     return found

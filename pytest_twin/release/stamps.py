@@ -14,7 +14,7 @@ from pytest_twin.formats.stamps import Carrier
 from pytest_twin.release import accepted_releases, stamp
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
-from pytest_twin.release.restore import authentic
+from pytest_twin.release.restore import read_authentic
 from pytest_twin.release.stamp import Stamp, StampVerdict
 from pytest_twin.release.stamp_sandbox import carriers_in_child
 from pytest_twin.twin import find_twin
@@ -23,7 +23,7 @@ _SERIES = frozenset("0123456789abcdef")
 
 
 @dataclass(frozen=True, slots=True)
-class Stamped:
+class StampedFile:
     """A file that can contain a stamp.
 
     Attributes:
@@ -37,7 +37,7 @@ class Stamped:
     problem: str = ""
 
 
-def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> list[Stamped]:
+def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> list[StampedFile]:
     """Stamp all files of a data set, or a policy, with a release.
 
     All files are read before the first is written; each is replaced in one step.
@@ -53,11 +53,11 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     """
     now = now or datetime.now(UTC)
     # The release may have expired or have a successor: the data were recorded with it.
-    released = authentic(release_folder, now)
+    released = read_authentic(release_folder, now)
     envelope = folders.read_envelope(release_folder)
     assert envelope is not None
     found = [
-        Stamped(carrier, stamp.make(released, envelope, carrier.digest(), now))
+        StampedFile(carrier, stamp.make(released, envelope, carrier.digest(), now))
         for carrier in carriers_in_child(dataset, writable=True)
     ]
     for one in found:
@@ -67,7 +67,7 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     return found
 
 
-def read(dataset: Path) -> list[Stamped]:
+def read(dataset: Path) -> list[StampedFile]:
     """Read the stamps of a data set or policy, one for each file.
 
     Raises:
@@ -84,18 +84,18 @@ def read(dataset: Path) -> list[Stamped]:
     return found
 
 
-def _read(carrier: Carrier) -> Stamped:
+def _read(carrier: Carrier) -> StampedFile:
     text = carrier.read()
     if text is None:
-        return Stamped(carrier, None)
+        return StampedFile(carrier, None)
     try:
-        return Stamped(carrier, stamp.parse(text))
+        return StampedFile(carrier, stamp.parse(text))
     except ReleaseError as error:
-        return Stamped(carrier, None, str(error))
+        return StampedFile(carrier, None, str(error))
 
 
 def judge(
-    found: list[Stamped], keys: list[Key], *, now: datetime | None = None
+    found: list[StampedFile], keys: list[Key], *, now: datetime | None = None
 ) -> dict[Path, StampVerdict]:
     """Verify all stamps, and that they are of one release; file -> verdict.
 
@@ -118,7 +118,7 @@ def judge(
     return verdicts
 
 
-def twins_near(dataset: Path, found: list[Stamped]) -> Iterator[Path]:
+def twins_near(dataset: Path, found: list[StampedFile]) -> Iterator[Path]:
     """Folders of twins that may have stamped a data set, the most probable first.
 
     These are the twin above the data set, the one above the working directory, and the recorded
@@ -138,7 +138,7 @@ def twins_near(dataset: Path, found: list[Stamped]) -> Iterator[Path]:
     yield from given
 
 
-def keys_of(dataset: Path, found: list[Stamped], folder: Path | None) -> list[Key]:
+def keys_of(dataset: Path, found: list[StampedFile], folder: Path | None) -> list[Key]:
     """Trusted keys of a folder, or of the twin that stamped the data set.
 
     The result is empty if no stamp can be read.
@@ -154,7 +154,7 @@ def keys_of(dataset: Path, found: list[Stamped], folder: Path | None) -> list[Ke
     return trusted_keys.load_trusted(root / trusted_keys.FOLDER)
 
 
-def twin_that_stamped(dataset: Path, found: list[Stamped]) -> Path:
+def twin_that_stamped(dataset: Path, found: list[StampedFile]) -> Path:
     """Folder of the twin whose keys verify a stamp, or of the most probable twin with keys.
 
     Raises:

@@ -379,7 +379,7 @@ def _check_files(files: Sequence[FileEntry], limits: ReleaseLimits) -> None:
                 value=entry.name,
                 expected="a relative path with names that every system can hold",
             )
-    for one, other in file_names.colliding(entry.name for entry in files):
+    for one, other in file_names.colliding_names(entry.name for entry in files):
         raise ReleaseError(
             f"two files have the same name on other systems: {one!r} and {other!r}",
             where="subject",

@@ -108,7 +108,7 @@ def _require_trust(root: Path, releases: Path, signer: CryptoSigner) -> bool:
     if trusted:
         trusted_keys.require_trusted(signer, trusted, root)
         return False
-    if folders.numbered(releases):
+    if folders.numbered_releases(releases):
         raise ReleaseError(
             "there are releases but no trusted keys",
             path=root / trusted_keys.FOLDER,
@@ -128,7 +128,7 @@ def _concurrent_release(number: int, releases: Path) -> ReleaseError:
 def _header(
     root: Path, releases: Path, draft: Draft, signer: CryptoSigner, now: datetime
 ) -> Header:
-    there = folders.numbered(releases)
+    there = folders.numbered_releases(releases)
     before = baseline(root, now=now).known
     numbers = [number for number, _ in there]
     if before is None:
@@ -137,7 +137,7 @@ def _header(
         series = before.header.series
         numbers.append(accepted_releases.highest(series) or 0)
     # If another process finished a release in between, this one would state the wrong predecessor.
-    since = folders.numbered(releases)
+    since = folders.numbered_releases(releases)
     if since != there:
         raise _concurrent_release(since[0][0] if since else there[0][0], releases)
     return Header(

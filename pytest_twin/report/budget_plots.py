@@ -45,7 +45,7 @@ def categories_figure(document: Mapping[str, Any], quantity: str) -> bytes:
             label = f"{scale * value:.3g} {unit}{' at most' if bound else ''}"
             if allowed:
                 label += f" ({100 * value / allowed:.3g} %)"
-            _beside(axes, scale * value, row, label)
+            _place_label(axes, scale * value, row, label)
         if allowed:
             axes.axvline(scale * allowed, color=FAIL, linewidth=1.0, linestyle=(0, (4, 3)))
         axes.set_xlim(0, 1.35 * widest or 1.0)
@@ -93,7 +93,7 @@ def waterfall_figure(document: Mapping[str, Any], quantity: str) -> bytes | None
             else:
                 axes.barh(row, value, height=0.62, color=GOLDEN)
                 end = value
-            _beside(axes, end, row, f"{value:.3g} {unit}")
+            _place_label(axes, end, row, f"{value:.3g} {unit}")
         allowed = document["tolerance"][quantity]
         if allowed:
             axes.axvline(scale * allowed, color=FAIL, linewidth=1.0, linestyle=(0, (4, 3)))
@@ -127,7 +127,7 @@ def _names(names: Sequence[str]) -> list[str]:
     ]
 
 
-def _beside(axes: Axes, end: float, row: int, label: str) -> None:
+def _place_label(axes: Axes, end: float, row: int, label: str) -> None:
     """Place a label right of a bar's end, with an offset because SVG drops leading spaces."""
     axes.annotate(
         label, (end, row), (4, 0), textcoords="offset points", va="center", color=INK, fontsize=7

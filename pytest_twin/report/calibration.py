@@ -51,7 +51,7 @@ def render(document: Mapping[str, Any], images: Path) -> str:
         mood=mood,
         estimates=list(_estimates(document["records"])),
         scene=svg_uri(scene_figure(document)) if "scene" in document else None,
-        proposed=_proposed(document),
+        proposed=_proposed_poses(document),
         overlays=_overlays(seen, images),
         residuals=svg_uri(residuals_figure(document)) if seen else None,
         speeds=svg_uri(speeds_figure(document)) if "angular_speeds" in document else None,
@@ -88,7 +88,7 @@ def _estimates(records: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str,
             yield title, printable(label), f"{factor * one['value']:.4g}", f"{width:.2g}", unit
 
 
-def _proposed(document: Mapping[str, Any]) -> dict[str, Any] | None:
+def _proposed_poses(document: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return heading and rows of the proposed poses, and their predicted gain."""
     found = document.get("next_poses", {})
     poses = found.get("poses", [])

@@ -14,13 +14,13 @@ from pytest_twin.report.diagnosis_plots import joint_figure
 from pytest_twin.report.diagnosis_view import DiagnosisView
 from pytest_twin.report.finding_words import (
     SURE,
-    ambiguous,
+    ambiguity_sentence,
     finding_sentence,
     gain,
     percent,
     place,
     place_of_set,
-    readable,
+    readable_unit,
     table_row,
     to_confirm,
 )
@@ -67,7 +67,7 @@ def words(document: Mapping[str, Any]) -> list[str]:
         lines.append(f"  {i}. {finding_sentence(finding)}")
         buys = f"Correcting it {gain(finding, held_out=held_out)}."
         lines.append(f"     {buys} Confidence: {percent(finding['confidence'])}.")
-        if rivals := ambiguous(finding):
+        if rivals := ambiguity_sentence(finding):
             lines.append(f"     {rivals}")
         if finding["confidence"] < SURE:
             lines.append(f"     {to_confirm(finding)}")
@@ -104,7 +104,7 @@ def headline(document: Mapping[str, Any]) -> str:
 
 def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:
     """Return RMS errors of a joint before and after, and its noise floor, in one readable unit."""
-    factor, unit = readable(max(error["rms_before"], error["floor"]), error["unit"])
+    factor, unit = readable_unit(max(error["rms_before"], error["floor"]), error["unit"])
     before, after, floor = (
         f"{number(factor * error[key])} {unit}" for key in ("rms_before", "rms_after", "floor")
     )
@@ -154,7 +154,7 @@ def _view_of_finding(finding: Mapping[str, Any], view: DiagnosisView) -> dict[st
         "name": place(finding),
         "sentence": finding_sentence(finding),
         "gain": gain(finding, held_out=bool(view.document["trials"]["held_out"])),
-        "ambiguous": ambiguous(finding),
+        "ambiguous": ambiguity_sentence(finding),
         "to_confirm": to_confirm(finding),
         "rows": [table_row(finding, key) for key in finding["parameters"]],
         "alternatives": [{**a, "name": place_of_set(a)} for a in finding["alternatives"]],
@@ -169,12 +169,12 @@ def _view_of_finding(finding: Mapping[str, Any], view: DiagnosisView) -> dict[st
 def _unexplained_sentences(document: Mapping[str, Any]) -> list[str]:
     return [
         f"Unexplained: {percent(u['fraction'])} of the squared error of joint {joint}; "
-        f"mainly {u['where']}.{_modelled(u)}"
+        f"mainly {u['where']}.{_law_sentence(u)}"
         for joint, u in document["unexplained"].items()
     ]
 
 
-def _modelled(unexplained: Mapping[str, Any]) -> str:
+def _law_sentence(unexplained: Mapping[str, Any]) -> str:
     removed = unexplained.get("unnamed_law_removes")
     if removed is None:
         return ""

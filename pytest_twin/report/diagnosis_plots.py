@@ -12,7 +12,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.metrics.spectrum import power_density
 from pytest_twin.report.diagnosis_view import JointView, Regime
-from pytest_twin.report.log_axes import logarithmic
+from pytest_twin.report.log_axes import set_logarithmic
 from pytest_twin.report.panels import Line, thin
 from pytest_twin.report.plot_style import BAND, DIM, FAIL, GOLDEN, INK, NOW, STYLE, svg_of
 from pytest_twin.report.text import number, printable
@@ -53,7 +53,7 @@ def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
         overlay = _panel(figure, 0.77, 0.972)
         left = _panel(figure, 0.588, 0.742, sharex=overlay)
         _overlay(overlay, view)
-        _left_over_time(left, view)
+        _plot_residual(left, view)
         for axes in (overlay, left):
             axes.yaxis.set_label_coords(-0.067, 0.5)
         effort = "N" if view.unit == "m" else "N*m"
@@ -66,7 +66,7 @@ def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
         first: Axes | None = None
         for start, end, (label, values) in zip(edges, edges[1:] - _GAP, drivers, strict=False):
             axes = _panel(figure, 0.35, 0.5, start, end, sharey=first)
-            _against(axes, view, values, label, first=first is None)
+            _plot_against(axes, view, values, label, first=first is None)
             first = first or axes
         _spectrum(_panel(figure, 0.055, 0.285, _LEFT, _MIDDLE), view)
         shown = sorted(view.regimes, key=lambda r: -r.before)[:_MOST_REGIMES]
@@ -98,18 +98,18 @@ def _overlay(axes: Axes, view: JointView) -> None:
     axes.set_ylabel(f"position [{view.unit}]")
     if view.command is not None and view.command_time is not None:
         inside = view.command_time <= view.time[-1]
-        t, c = _thinned(view.command_time[inside], view.command[inside])
+        t, c = _thin(view.command_time[inside], view.command[inside])
         axes.plot(t, c, color=DIM, linewidth=0.8, linestyle=(0, (4, 3)), label="command",
                   drawstyle="steps-post")  # fmt: skip
     axes.plot(
-        *_thinned(view.time, view.measured),
+        *_thin(view.time, view.measured),
         color=GOLDEN,
         linewidth=3.4,
         alpha=0.35,
         label="measured",
     )
-    axes.plot(*_thinned(view.time, view.before), color=FAIL, linewidth=1.0, label="model")
-    axes.plot(*_thinned(view.time, view.after), color=NOW, linewidth=1.1, label="patched model")
+    axes.plot(*_thin(view.time, view.before), color=FAIL, linewidth=1.0, label="model")
+    axes.plot(*_thin(view.time, view.after), color=NOW, linewidth=1.1, label="patched model")
     low, high = float(view.measured.min()), float(view.measured.max())
     room = 0.35 * max(high - low, 1e-6)
     axes.set_ylim(low - room, high + room)
@@ -117,14 +117,14 @@ def _overlay(axes: Axes, view: JointView) -> None:
     axes.tick_params(labelbottom=False)
 
 
-def _left_over_time(axes: Axes, view: JointView) -> None:
+def _plot_residual(axes: Axes, view: JointView) -> None:
     axes.set_ylabel(f"measured \N{MINUS SIGN} model\n[{view.unit}]")
     axes.set_xlabel("time [s]")
     for start, end in {(a, b) for _, a, b in view.windows}:
         axes.axvspan(start, end, color=BAND, alpha=0.35, linewidth=0)
     _floor_band(axes, view)
     for values, colour, width in ((view.before, FAIL, 0.9), (view.after, NOW, 1.0)):
-        axes.plot(*_thinned(view.time, view.measured - values), color=colour, linewidth=width)
+        axes.plot(*_thin(view.time, view.measured - values), color=colour, linewidth=width)
     reach = 1.15 * float(np.nanmax(np.abs(view.measured - view.before)))
     reach = max(reach, 3.0 * view.floor)
     axes.set_ylim(-reach, reach)
@@ -138,7 +138,9 @@ def _floor_band(axes: Axes, view: JointView) -> None:
     axes.axhline(0.0, color=DIM, linewidth=0.5)
 
 
-def _against(axes: Axes, view: JointView, values: FloatArray, label: str, *, first: bool) -> None:
+def _plot_against(
+    axes: Axes, view: JointView, values: FloatArray, label: str, *, first: bool
+) -> None:
     """Draw median and middle 80 % of the residual, in bins with equal numbers of samples."""
     good = np.isfinite(values) & np.isfinite(view.left_before) & np.isfinite(view.left_after)
     edges = np.unique(np.quantile(values[good], np.linspace(0.0, 1.0, _BINS + 1)))
@@ -191,7 +193,7 @@ def _spectrum(axes: Axes, view: JointView) -> None:
             axes.plot(f, np.sqrt(power), color=colour, linewidth=1.3, label=name)
     axes.axhline(view.floor * np.sqrt(2.0 / rate), color=GOLDEN, linewidth=0.9,
                  linestyle=(0, (4, 3)), label="noise floor, if white")  # fmt: skip
-    logarithmic(axes, "x", "y")
+    set_logarithmic(axes, "x", "y")
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"residual [{view.unit}/\N{SQUARE ROOT}Hz]")
     axes.legend(loc="upper right")
@@ -206,7 +208,7 @@ def _regimes(axes: Axes, view: JointView, shown: Sequence[Regime]) -> None:
     axes.scatter([r.before for r in shown], rows, color=FAIL, s=22, zorder=2)
     axes.scatter([r.after for r in shown], rows, color=NOW, s=22, zorder=3)
     axes.axvline(view.floor, color=GOLDEN, linewidth=0.9, linestyle=(0, (4, 3)))
-    logarithmic(axes, "x")
+    set_logarithmic(axes, "x")
     values = [x for r in shown for x in (r.before, r.after)] + [scale]
     axes.set_xlim(0.6 * min(values), 1.6 * max(values))
     axes.set_yticks(rows, [_regime_name(r) for r in shown], color=INK, fontsize=7.5)
@@ -232,6 +234,6 @@ def _by_octaves(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray, F
     )
 
 
-def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     line = thin(Line(x, y), _STRETCHES)
     return line.x, line.y

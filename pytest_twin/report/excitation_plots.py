@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.report.figures import svg
-from pytest_twin.report.log_axes import logarithmic
+from pytest_twin.report.log_axes import set_logarithmic
 from pytest_twin.report.plot_style import BAND, DIM, FAIL, INK, NOW, PASS
 from pytest_twin.report.text import printable
 
@@ -66,15 +66,17 @@ def deviations_figure(parameters: Sequence[Mapping[str, Any]]) -> bytes:
             axes.plot([value], [row], "o", color=colour, markersize=4)
             axes.text(value * 1.12, row, f"{value:.2g}", va="center", color=INK, fontsize=7)
         axes.set_xlim(0.5 * least, max(3.0 * most, 2.0 * least))
-        logarithmic(axes, "x")
+        set_logarithmic(axes, "x")
         axes.set_ylim(len(parameters) - 0.5, -0.5)
-        axes.set_yticks(range(len(parameters)), [_short(one) for one in parameters], fontsize=7)
+        axes.set_yticks(
+            range(len(parameters)), [_short_label(one) for one in parameters], fontsize=7
+        )
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("predicted standard deviation [% of the nominal value]")
 
     return svg(draw, 8.4, 0.55 + 0.19 * len(parameters))
 
 
-def _short(one: Mapping[str, Any]) -> str:
+def _short_label(one: Mapping[str, Any]) -> str:
     text = printable(one["expression"])
     return text if len(text) <= _SHOWN_EXPRESSION else text[: _SHOWN_EXPRESSION - 2] + " …"

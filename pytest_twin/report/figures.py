@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
 def svg(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
     """Draw an SVG figure of ``width`` by ``height`` inches, for light and dark pages."""
-    return _drawn(draw, width, height, "svg")
+    return _draw(draw, width, height, "svg")
 
 
 def png(draw: Callable[[Figure], None], width: float, height: float) -> bytes:
     """Draw a PNG figure of ``width`` by ``height`` inches, 120 dots per inch, on white."""
-    return _drawn(draw, width, height, "png")
+    return _draw(draw, width, height, "png")
 
 
-def _drawn(draw: Callable[[Figure], None], width: float, height: float, kind: str) -> bytes:
+def _draw(draw: Callable[[Figure], None], width: float, height: float, kind: str) -> bytes:
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG

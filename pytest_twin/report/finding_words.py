@@ -29,7 +29,7 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
     for key, estimate in finding["parameters"].items():
         parameter = known.get(key)
         if parameter is not None and parameter.choice and parameter.choices:
-            forms.append(chosen(parameter, estimate["value"]))
+            forms.append(choice_phrase(parameter, estimate["value"]))
         else:
             values.append((_meaning(key, parameter), _amount(estimate, parameter)))
     form = f" ({', '.join(forms)})" if forms else ""
@@ -59,7 +59,7 @@ def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
     return f"{verb.format(percent(abs(share)))} the remaining squared {error} error"
 
 
-def ambiguous(finding: Mapping[str, Any]) -> str:
+def ambiguity_sentence(finding: Mapping[str, Any]) -> str:
     """Return a sentence with effects that the recordings do not separate from a finding, or ""."""
     rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - SURE]
     listed = " or ".join(f"{place_of_set(a)} ({percent(a['confidence'])})" for a in rivals)
@@ -85,11 +85,11 @@ def place_of_set(item: Mapping[str, Any]) -> str:
     """Return all effects of an alternative and the findings that it replaces."""
     names = [place(item), *(place(other) for other in item.get("together_with", ()))]
     replaced = [place(other) for other in item.get("instead_of", ())]
-    instead = f" instead of {_listed(replaced)}" if replaced else ""
-    return f"{_listed(names)}{instead}"
+    instead = f" instead of {_join_names(replaced)}" if replaced else ""
+    return f"{_join_names(names)}{instead}"
 
 
-def _listed(names: Sequence[str]) -> str:
+def _join_names(names: Sequence[str]) -> str:
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
 
@@ -100,7 +100,7 @@ def table_row(finding: Mapping[str, Any], key: str) -> tuple[str, str, str]:
     parameter, estimate = known.get(key), finding["parameters"][key]
     meaning = _meaning(key, parameter)
     if parameter is not None and parameter.choice and parameter.choices:
-        return meaning, chosen(parameter, estimate["value"]), ""
+        return meaning, choice_phrase(parameter, estimate["value"]), ""
     value, interval = _value_and_interval(estimate, parameter)
     return meaning, value, interval
 
@@ -110,7 +110,7 @@ def meaning_of(effect: str, key: str) -> str:
     return _meaning(key, {p.reported_name: p for p in _parameters(effect)}.get(key))
 
 
-def readable(value: float, unit: str) -> tuple[float, str]:
+def readable_unit(value: float, unit: str) -> tuple[float, str]:
     """Return factor and unit for a readable value: 0.012 s as 12 ms."""
     if unit in _THOUSANDTHS and 0.0 < abs(value) < _SMALL:
         return 1e3, _THOUSANDTHS[unit]
@@ -122,7 +122,7 @@ def percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def chosen(parameter: Parameter, value: float) -> str:
+def choice_phrase(parameter: Parameter, value: float) -> str:
     """Return the phrase of a choice's value, or the value itself."""
     for start, words in zip(parameter.starts, parameter.choices, strict=True):
         if start == value:
@@ -157,7 +157,7 @@ def _value_and_interval(
     if relation == "relative":
         factor, unit = 100.0, "%"
     else:
-        factor, unit = readable(value, unit)
+        factor, unit = readable_unit(value, unit)
     shown = factor * (abs(value) if relation else value)
     text = f"{number(shown)}{'' if unit == '1' else f' {unit}'}{side}"
     if low == high:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.report.figures import svg
-from pytest_twin.report.log_axes import logarithmic
+from pytest_twin.report.log_axes import set_logarithmic
 from pytest_twin.report.page import svg_uri
 from pytest_twin.report.plot_style import GOLDEN, NOW
 from pytest_twin.report.text import printable
@@ -37,7 +37,7 @@ def rows_of(responses: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
 def figures_of(responses: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     """Return (name, image URI) of each response with a figure."""
     return [
-        (f"{one['joint']}: {one['input']} to {one['response']}", svg_uri(_drawn(one)))
+        (f"{one['joint']}: {one['input']} to {one['response']}", svg_uri(_draw(one)))
         for one in responses[:_MOST_FIGURES]
     ]
 
@@ -62,7 +62,7 @@ def _both(one: Mapping[str, Any], said: Any) -> str:
     return f"{words}; model: {said(one['predicted'])}" if one.get("predicted") else words
 
 
-def _drawn(one: Mapping[str, Any]) -> bytes:
+def _draw(one: Mapping[str, Any]) -> bytes:
     title = f"{one['joint']}: {one['input']} to {one['response']} ({one['recording']})"
 
     def draw(figure: Figure) -> None:
@@ -76,7 +76,7 @@ def _drawn(one: Mapping[str, Any]) -> bytes:
             axes.set_ylabel(label)
         rows[0].set_title(printable(title))
         rows[0].legend()
-        logarithmic(rows[-1], "x")
+        set_logarithmic(rows[-1], "x")
         rows[-1].set_xlabel("frequency [Hz]")
 
     return svg(draw, 7.0, 5.0)

@@ -77,7 +77,7 @@ def render(report: Report) -> str:
         not_run=not_run,
         proven=proven,
         counts=_counts(ran, not_run, proven),
-        ids=list(_flat(report.ids)),
+        ids=list(_flatten(report.ids)),
         changes=_changes([*ran, *not_run]),
     )
 
@@ -148,11 +148,11 @@ def _changes(stale: Sequence[_Row]) -> list[tuple[Reason, int]]:
     return sorted(found.items(), key=lambda item: (-item[1], str(item[0])))[:MAX_CHANGES]
 
 
-def _flat(ids: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
+def _flatten(ids: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
     """Yield (dotted name, text) of nested tables."""
     for key, value in ids.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key} / ")
+            yield from _flatten(value, f"{prefix}{key} / ")
         elif isinstance(value, list | tuple):
             yield f"{prefix}{key}", ", ".join(str(item) for item in value) or "none"
         else:

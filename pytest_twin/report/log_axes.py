@@ -13,7 +13,7 @@ _FEW_DECADES = 1.5
 """Number of decades up to which 2 and 5 are labelled too: a band may contain at most one decade."""
 
 
-def logarithmic(axes: Axes, *which: str) -> None:
+def set_logarithmic(axes: Axes, *which: str) -> None:
     """Make the axes ``x`` or ``y`` logarithmic; call this after drawing.
 
     Labels are plain numbers, because reports do not interpret matplotlib's formulas.

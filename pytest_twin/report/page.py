@@ -39,9 +39,8 @@ def style_of(*sheets: str) -> Style:
 def template(name: str, **filters: Callable[..., Any]) -> jinja2.Template:
     """Load a template of this folder, with filters.
 
-    Inserted text is escaped, and its control characters are made printable; markup that the
-    template
-    itself produced is not changed.
+    Inserted text is escaped, and its control characters are made printable. The template's own
+    markup is not changed.
     """
     environment = jinja2.Environment(
         autoescape=True,

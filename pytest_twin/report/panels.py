@@ -125,7 +125,7 @@ def time_panels(
                 unit=unit,
                 now=line,
                 then=_golden_line(stored, name),
-                against=bound.against if bound else _against(measures),
+                against=bound.against if bound else _reference_word(measures),
                 command=command,
                 worst=None if bound is None or bound.time is None else _worst(bound, bound.time),
                 bound=max(about, key=tolerance_ratio, default=None),
@@ -178,7 +178,7 @@ def thin(line: Line, stretches: int = BUCKETS) -> Line:
     return Line(line.x[index], line.y[index])
 
 
-def shifted(line: Line, offset: float) -> Line:
+def shift(line: Line, offset: float) -> Line:
     """Return ``line`` shifted up by ``offset``."""
     return replace(line, y=line.y + offset)
 
@@ -237,7 +237,7 @@ def _golden_line(stored: Series | None, name: str) -> Line | None:
     return Line(stored.x, stored.columns[name][1])
 
 
-def _against(measures: Sequence[Measure]) -> str:
+def _reference_word(measures: Sequence[Measure]) -> str:
     names = {measure.against for measure in measures}
     return "recording" if names == {"recording"} else "golden"
 

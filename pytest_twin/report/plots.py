@@ -17,7 +17,7 @@ from pytest_twin.report.panels import (
     Panel,
     Series,
     frequency_panels,
-    shifted,
+    shift,
     thin,
     time_panels,
 )
@@ -119,7 +119,7 @@ def _draw_frequency(figure: Figure, series: Series, panels: Sequence[Panel], lef
     if series.x[0] > 0:
         rows[-1].set_xscale("log")
         for formatter in (rows[-1].xaxis.set_major_formatter, rows[-1].xaxis.set_minor_formatter):
-            formatter(_plain)
+            formatter(_plain_number)
         rows[-1].tick_params(axis="x", which="minor", labelsize=7)
     _axis_label(rows[-1], series, left_out)
     _align_labels(figure.axes)
@@ -132,7 +132,7 @@ def _course(axes: Axes, panel: Panel) -> None:
     worst, then = panel.worst, panel.then
     if then is not None:
         if worst is not None and math.isfinite(worst.tolerance):
-            low, high = thin(shifted(then, -worst.tolerance)), thin(shifted(then, worst.tolerance))
+            low, high = thin(shift(then, -worst.tolerance)), thin(shift(then, worst.tolerance))
             axes.fill_between(low.x, low.y, high.y, color=BAND, linewidth=0, label="tolerance")
         line = thin(then)
         axes.plot(line.x, line.y, color=GOLDEN, linewidth=2.6, alpha=0.5, label=panel.against)
@@ -272,7 +272,7 @@ def _percent(value: float, _: object = None) -> str:
     return f"{100 * value:g} %" if value < 10 else f"{value:g} x"
 
 
-def _plain(value: float, _: object = None) -> str:
+def _plain_number(value: float, _: object = None) -> str:
     leading = f"{value:e}"[0]
     return f"{value:g}" if leading in "125" else ""
 

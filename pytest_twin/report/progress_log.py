@@ -8,7 +8,7 @@ _INTERVAL_SECONDS = 60.0
 """Smallest time between two lines."""
 
 
-class EachMinute:
+class ProgressLog:
     """Reports the fraction done and the remaining time once a minute.
 
     Args:

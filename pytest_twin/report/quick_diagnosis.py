@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from pytest_twin.report.finding_words import meaning_of, place, readable
+from pytest_twin.report.finding_words import meaning_of, place, readable_unit
 from pytest_twin.report.text import printable, quantity
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def quick_diagnosis_in_words(seen: QuickDiagnosis) -> str:
         parts = [_in_words(found) for found in seen.likely_effects]
         if seen.unexplained:
             parts.append(
-                f"no known effect explains the error of {_listed(seen.unexplained, 'and')}"
+                f"no known effect explains the error of {_join_names(seen.unexplained, 'and')}"
             )
         return printable("; ".join(parts))
     when = f"{seen.where.summary}{_spans(seen)}"
@@ -43,34 +43,34 @@ def _in_words(found: LikelyEffect) -> str:
     effect = found.place[0]
     shown = [(name, *value) for name, value in found.values.items() if value[0] != 0.0]
     values = ", ".join(
-        f"{meaning_of(effect, name)} about {_about(value, unit)}"
+        f"{meaning_of(effect, name)} about {_approximate_value(value, unit)}"
         for name, value, unit in shown[:_MOST_PARAMETERS]
     )
-    of = f" of {_listed(found.of, 'and')}" if found.of else ""
+    of = f" of {_join_names(found.of, 'and')}" if found.of else ""
     removes = f"would remove {math.floor(100 * found.removed)} % of the squared error{of}"
     if found.rivals:
-        places = [f"{_named(found.place)} ({values})", *map(_named, found.rivals)]
-        return f"could be {_listed(places, 'or')}; correcting the first {removes}"
+        places = [f"{_place_name(found.place)} ({values})", *map(_place_name, found.rivals)]
+        return f"could be {_join_names(places, 'or')}; correcting the first {removes}"
     return (
-        f"probably {_named(found.place)}: {values}; confidence {math.floor(100 * found.share)} %; "
-        f"correcting it {removes}"
+        f"probably {_place_name(found.place)}: {values}; "
+        f"confidence {math.floor(100 * found.share)} %; correcting it {removes}"
     )
 
 
-def _named(where: Place) -> str:
+def _place_name(where: Place) -> str:
     effect, joints = where
-    return place({"effect": effect, "joint": _listed(joints, "and") if joints else None})
+    return place({"effect": effect, "joint": _join_names(joints, "and") if joints else None})
 
 
-def _listed(names: Sequence[str], word: str) -> str:
+def _join_names(names: Sequence[str], word: str) -> str:
     """Join words: ``a``, ``a or b``, ``a, b or c``."""
     *most, last = names
     return f"{', '.join(most)} {word} {last}" if most else last
 
 
-def _about(value: float, unit: str) -> str:
+def _approximate_value(value: float, unit: str) -> str:
     rounded = float(f"{value:.2g}")
-    factor, unit = readable(rounded, unit)
+    factor, unit = readable_unit(rounded, unit)
     return quantity(factor * rounded, unit)
 
 

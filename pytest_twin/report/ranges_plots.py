@@ -101,7 +101,7 @@ def correlation_figure(names: Sequence[str], matrix: Sequence[Sequence[float]]) 
         place = (1.9 / _WIDTH, 1.8 / height, side / _WIDTH, side / height)
         axes = figure.add_axes(place)
         image = axes.imshow(values, vmin=-1.0, vmax=1.0, cmap="RdBu_r", rasterized=True)
-        shown = [_short(name) for name in names]
+        shown = [_short_label(name) for name in names]
         axes.set_xticks(range(len(names)), shown, rotation=90, fontsize=6.5)
         axes.set_yticks(range(len(names)), shown, fontsize=6.5)
         axes.grid(visible=False)
@@ -126,7 +126,7 @@ def against_figure(entries: Sequence[Mapping[str, Any]]) -> bytes:
                 axes.barh(row + offset, high - low, left=low, height=thick, color=colour)
             axes.plot([one["nominal"] / size] * 2, [row - 0.4, row + 0.4], color=INK, linewidth=0.9)
         axes.set_yticks(
-            range(len(entries)), [_short(one["parameter"]) for one in entries], fontsize=7
+            range(len(entries)), [_short_label(one["parameter"]) for one in entries], fontsize=7
         )
         axes.set_ylim(len(entries) - 0.4, -0.6)
         axes.grid(visible=False, axis="y")
@@ -135,7 +135,7 @@ def against_figure(entries: Sequence[Mapping[str, Any]]) -> bytes:
     return svg(draw, _WIDTH, height)
 
 
-def _short(name: str) -> str:
+def _short_label(name: str) -> str:
     """Return a label: of a long name its begin and its end, which differs between parameters."""
     text = printable(name)
     if len(text) <= _SHOWN:

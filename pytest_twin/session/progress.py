@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pytest_twin.report.progress_log import EachMinute
+from pytest_twin.report.progress_log import ProgressLog
 
 _FIRST_SECONDS = 1.0
 """Time before the first update; short goldens show none."""
@@ -41,7 +41,7 @@ class ProgressLine:
             yield None
             return
         if not getattr(self._reporter, "isatty", False):
-            log = EachMinute(name)
+            log = ProgressLog(name)
 
             def write_fraction(fraction: float) -> None:
                 if (line := log.line(fraction)) is not None:

@@ -125,7 +125,7 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
             continue
         if not found:
             none[kind] = "the kind proposes nothing"
-        specs += [{"kind": kind, **_plain(spec)} for spec in found]
+        specs += [{"kind": kind, **_round_numbers(spec)} for spec in found]
         progress((done + 1) / len(kinds()))
     return {"specs": specs, "silent": silent, "none": none}
 
@@ -167,12 +167,12 @@ def _last_frame(realization: Realization) -> str | None:
     )
 
 
-def _plain(value: Any) -> Any:
+def _round_numbers(value: Any) -> Any:
     """Plain mappings, lists and numbers with 9 digits, for readable YAML."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
+        return {str(key): _round_numbers(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
+        return [_round_numbers(inner) for inner in value]
     if isinstance(value, float) and math.isfinite(value):
         return float(f"{value:.9g}")
     return value

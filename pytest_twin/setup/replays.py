@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pytest_twin.checks.files import find_recording
-from pytest_twin.checks.proposals import listed
+from pytest_twin.checks.proposals import list_names
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.gate.specs import UNWRITTEN
 from pytest_twin.realization import Realization, load
@@ -86,7 +86,7 @@ def _check_joints(realization: Realization, joints: Mapping[str, Mapping[str, st
                 "no hinge or slide joint of this name",
                 where="--tolerance",
                 value=joint,
-                expected=f"one of {listed(known, 12)}",
+                expected=f"one of {list_names(known, 12)}",
             )
         wanted, example = _KINDS[kind]
         if wanted not in own:

@@ -44,11 +44,11 @@ _RULES = """\
 def all_or_nothing(folder: Path) -> Iterator[None]:
     """Delete the written files of a twin in ``folder`` if the block raises an exception."""
     there = folder.is_dir()
-    before = frozenset(_written(folder))
+    before = frozenset(_written_files(folder))
     try:
         yield
     except BaseException:
-        for path in _written(folder):
+        for path in _written_files(folder):
             if path not in before:
                 with suppress(OSError):  # A folder with other files.
                     path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
@@ -58,7 +58,7 @@ def all_or_nothing(folder: Path) -> Iterator[None]:
         raise
 
 
-def _written(folder: Path) -> Iterator[Path]:
+def _written_files(folder: Path) -> Iterator[Path]:
     """All files and folders at the paths that this module writes; contents before their folder."""
     for name in _WRITTEN_NAMES:
         for here, folders, files in os.walk(folder / name, topdown=False):
@@ -99,10 +99,12 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
         "schema": 1,
         "name": first.name,
         "model": first.model.relative_to(folder).as_posix(),
-        "source": sorted(_from(folder, path) for path in first.source),
+        "source": sorted(_relative_path(folder, path) for path in first.source),
     }
     if first.roots:
-        content["roots"] = {name: _from(folder, root) for name, root in sorted(first.roots.items())}
+        content["roots"] = {
+            name: _relative_path(folder, root) for name, root in sorted(first.roots.items())
+        }
     content |= first.reading
     if first.tcp is not None:
         content["tcp"] = first.tcp
@@ -123,7 +125,7 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
     return path
 
 
-def _from(folder: Path, path: Path) -> str:
+def _relative_path(folder: Path, path: Path) -> str:
     """Path as text for ``twin.yaml``: relative for a file inside the twin's folder."""
     return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
 

@@ -95,7 +95,7 @@ def perturbed_assets(
             for number in numbers
         )
     )
-    return moves.map(lambda drawn: _perturbed(realization, numbers, drawn))
+    return moves.map(lambda drawn: _perturb(realization, numbers, drawn))
 
 
 def _numbers(realization: Realization, spread: Spread) -> Iterator[_Number]:
@@ -124,7 +124,7 @@ def _numbers(realization: Realization, spread: Spread) -> Iterator[_Number]:
                 yield _Number("joint", name, attribute, (float(values[dof]),), reach, "", True)
 
 
-def _perturbed(
+def _perturb(
     realization: Realization, numbers: list[_Number], drawn: tuple[tuple[float, ...], ...]
 ) -> Perturbation:
     patches: dict[str, dict[str, dict[str, float | tuple[float, ...]]]] = {}
@@ -182,7 +182,7 @@ def _with_patches(realization: Realization, patches: Patches) -> Realization:
         {},
         refuse=lambda where, problem, **details: SpecError(problem, where=where, **details),
     )
-    model, _ = mjcf.compiled(spec)
+    model, _ = mjcf.compile_spec(spec)
     return Made(
         name=realization.name,
         path=realization.path,

@@ -83,7 +83,7 @@ def on_one_clock(
             none; a clock steps in one topic only.
     """
     topics = (states, commands)
-    unset = [_unset(one) for one in topics]
+    unset = [_lacks_stamp(one) for one in topics]
     if asked == "log":
         return _by_log(topics, ["log times are used for both topics, as asked"])
     if asked == "stamp":
@@ -126,7 +126,7 @@ def on_one_clock(
     return _stepping(timed, notes, asked is None and logs and log_overlap, path)
 
 
-def _unset(series: JointSeries) -> NDArray[np.bool_]:
+def _lacks_stamp(series: JointSeries) -> NDArray[np.bool_]:
     """(n,) which messages have no stamp; the time of a simulation may begin with one stamp 0."""
     if not series.stamped:
         return np.ones(len(series.stamp), dtype=bool)

@@ -13,7 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.recording_options import COMMAND_MODES, CommandMode, RecordingOptions
-from pytest_twin.trial.joints import listed
+from pytest_twin.trial.joints import list_names
 
 _ACTUATORS: Mapping[str, str] = {
     "position": "a position servo",
@@ -77,11 +77,11 @@ def choose_command_fields(
             if joint not in series.names:
                 raise RecordingError(
                     "command_mode names a joint that is not commanded",
-                    path=path, where=series.topic, value=joint, expected=listed(series.names),
+                    path=path, where=series.topic, value=joint, expected=list_names(series.names),
                 )  # fmt: skip
     unfit = _fields_without_actuator(series, inputs or {}, options)
     for column, joint in enumerate(series.names):
-        filled = _filled(series, column)
+        filled = _filled_modes(series, column)
         asked = options.mode_of(joint)
         if asked is not None and asked not in filled and (filled or options.command_mode == asked):
             if not filled:
@@ -98,7 +98,9 @@ def choose_command_fields(
         takes = () if inputs is None else tuple(inputs.get(joint, ()))
         if asked is None and joint in unfit:
             continue
-        mode, why = (asked, "as declared") if asked else _chosen(series, column, filled, takes)
+        mode, why = (
+            (asked, "as declared") if asked else _chosen_modes(series, column, filled, takes)
+        )
         if mode is None:
             raise _ambiguous_field(series.topic, joint, filled, takes, path)
         table = getattr(series, mode)
@@ -119,7 +121,7 @@ def choose_command_fields(
             expected="the field that the controller mode uses",
         )
     notes = [
-        f"{series.topic}: {mode} commands count at {listed(names)}, {why}; not used: "
+        f"{series.topic}: {mode} commands count at {list_names(names)}, {why}; not used: "
         + " and ".join(rest)
         for (mode, rest, why), names in unused.items()
     ]
@@ -134,7 +136,7 @@ def choose_command_fields(
     )  # fmt: skip
 
 
-def _filled(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
+def _filled_modes(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
     return tuple(
         name
         for name in COMMAND_MODES
@@ -159,7 +161,7 @@ def _fields_without_actuator(
     found: dict[str, tuple[CommandMode, ...]] = {}
     others = 0
     for column, joint in enumerate(series.names):
-        filled, takes = _filled(series, column), inputs.get(joint, ())
+        filled, takes = _filled_modes(series, column), inputs.get(joint, ())
         if not filled:
             continue
         if takes and not set(filled) & set(takes) and options.mode_of(joint) is None:
@@ -169,7 +171,7 @@ def _fields_without_actuator(
     return found if others else {}
 
 
-def _chosen(
+def _chosen_modes(
     series: JointSeries, column: int, filled: tuple[CommandMode, ...], takes: Sequence[str]
 ) -> tuple[CommandMode | None, str]:
     """The chosen field and the reason; None if none can be chosen."""

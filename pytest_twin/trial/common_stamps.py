@@ -12,7 +12,7 @@ from pytest_twin.trial.gaps import GAP_INTERVALS
 from pytest_twin.trial.trial import Trial
 
 
-def on_one_base(trial: Trial) -> Trial:
+def resample_to_common_stamps(trial: Trial) -> Trial:
     """Resample all joints to the stamps of the joint with the fewest samples.
 
     Other joints are interpolated by a cubic Hermite spline (error of order interval^4), unless they

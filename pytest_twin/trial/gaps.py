@@ -146,12 +146,12 @@ def _part(
         command=trial.command[command_rows],
         own_commands=None if trial.own_commands is None else trial.own_commands[command_rows],
         marks=tuple(
-            _shifted(mark, first)
+            _shift_mark(mark, first)
             for mark in trial.marks
             if mark.kind != "gap" and mark.start <= stop and (mark.end >= first or not first)
         )
         + tuple(
-            _shifted(mark, first)
+            _shift_mark(mark, first)
             for mark in trial.marks
             if mark.kind == "gap" and mark.start >= first and mark.end <= stop
         ),
@@ -173,7 +173,7 @@ def _is_empty(time: FloatArray, start: float, end: float) -> bool:
     return bool(after >= before)
 
 
-def _shifted(mark: Mark, by: float) -> Mark:
+def _shift_mark(mark: Mark, by: float) -> Mark:
     return replace(mark, start=mark.start - by, end=mark.end - by)
 
 

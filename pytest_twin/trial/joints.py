@@ -49,13 +49,13 @@ def in_model_names(
     notes = []
     if len(keep) < len(renamed):
         gone = [name for i, name in enumerate(renamed) if i not in set(keep)]
-        note = f"{series.topic}: left out, not in the model: {listed(gone)}"
+        note = f"{series.topic}: left out, not in the model: {list_names(gone)}"
         others = [joint for joint in joints or () if joint not in renamed]
-        offers = suggested(gone, others)
+        offers = suggest_mappings(gone, others)
         if offers:
             note += f" ('joints: {{{offers[0]}}}' in twin.yaml would map them)"
         elif others:
-            note += f"; of the model not recorded: {listed(others)}"
+            note += f"; of the model not recorded: {list_names(others)}"
         notes.append(note)
     if len(keep) < len(renamed) or tuple(renamed) != series.names:
         series = replace(
@@ -68,7 +68,7 @@ def in_model_names(
     return series, notes
 
 
-def named_by_actuators(
+def name_by_actuators(
     series: JointSeries, names: JointNames, actuator_joints: Mapping[str, Sequence[str]]
 ) -> tuple[JointSeries, list[str]]:
     """Name the values of a topic without joint names by the order of the model's actuators.
@@ -87,12 +87,12 @@ def named_by_actuators(
         return series, []
     note = (
         f"{series.topic}: values without joint names, taken in the order of the model's actuators: "
-        f"{listed(driven)} ('joints: {{\"0\": {driven[0]}, ...}}' in twin.yaml says otherwise)"
+        f"{list_names(driven)} ('joints: {{\"0\": {driven[0]}, ...}}' in twin.yaml says otherwise)"
     )
     return replace(series, names=tuple(driven)), [note]
 
 
-def listed(names: Sequence[str]) -> str:
+def list_names(names: Sequence[str]) -> str:
     """Names separated by commas; the first eight of many."""
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return ", ".join(names[:_LISTED]) + more
@@ -101,8 +101,8 @@ def listed(names: Sequence[str]) -> str:
 def _no_such_joint(
     series: JointSeries, names: Sequence[str], joints: Collection[str], path: Path
 ) -> RecordingError:
-    expected = f"one of {listed(list(joints))}" if joints else "a model with joints"
-    offers = suggested(names, joints)
+    expected = f"one of {list_names(list(joints))}" if joints else "a model with joints"
+    offers = suggest_mappings(names, joints)
     if offers:
         expected += "; in twin.yaml " + " or ".join(f"joints: {{{offer}}}" for offer in offers)
         expected += ", or --joints " + offers[0].replace(": ", "=")
@@ -112,12 +112,12 @@ def _no_such_joint(
         "the model has no such joint" if len(names) == 1 else "the model has none of these joints",
         path=path,
         where=series.topic,
-        value=listed(names),
+        value=list_names(names),
         expected=expected,
     )
 
 
-def suggested(names: Sequence[str], joints: Collection[str]) -> list[str]:
+def suggest_mappings(names: Sequence[str], joints: Collection[str]) -> list[str]:
     """Prefixes or suffixes that would map names to the model's, such as ``prefix: left_``.
 
     The one that maps most joints is the first.

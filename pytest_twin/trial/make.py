@@ -23,14 +23,14 @@ from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
 from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
-from pytest_twin.trial.joints import in_model_names, listed, named_by_actuators
+from pytest_twin.trial.joints import in_model_names, list_names, name_by_actuators
 from pytest_twin.trial.recording_checks import RecordingChecks
 from pytest_twin.trial.table import (
     StateRows,
     kept_commands,
     last_known,
-    merged_states,
-    sorted_rows,
+    merge_states,
+    stamp_order,
 )
 from pytest_twin.trial.trial import Mark, Trial, stamps_of_densest_joint
 
@@ -88,7 +88,7 @@ def _whole(
     for role in ("state", "command"):
         series = _series(recording, role)
         if structure is not None:
-            series, placed = named_by_actuators(series, options.joints, structure.actuator_joints)
+            series, placed = name_by_actuators(series, options.joints, structure.actuator_joints)
             notes += placed
         series, said = in_model_names(series, options.joints, joints, recording.path)
         topics.append(series)
@@ -235,7 +235,7 @@ class _Maker:
     def states(self, timed: TimedMessages) -> tuple[StateRows, tuple[str, ...]]:
         """States sorted by stamp, from the first at which all joints have been measured."""
         series = timed.series
-        order = sorted_rows(timed.stamp)
+        order = stamp_order(timed.stamp)
         stamp, picked = timed.stamp[order], timed.rows[order]
         fields = {
             name: None if table is None else table[picked]
@@ -254,14 +254,14 @@ class _Maker:
         if not measured.all():
             gone = [n for n, use in zip(series.names, measured, strict=True) if not use]
             self.notes.append(f"{series.topic}: left out, positions are NaN throughout: "
-                              f"{listed(gone)}")  # fmt: skip
+                              f"{list_names(gone)}")  # fmt: skip
             fields = {n: None if t is None else t[:, measured] for n, t in fields.items()}
             position = position[:, measured]
         seconds = _seconds(stamp, int(stamp[0]))
         self.checks.refuse_infinite("position", position, joints, seconds, series.topic)
         carried = np.isfinite(position)
         some = carried.any(axis=1)
-        rows = merged_states(
+        rows = merge_states(
             stamp[some], {n: None if t is None else t[some] for n, t in fields.items()},
             carried[some],
         )  # fmt: skip
@@ -314,7 +314,7 @@ class _Maker:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_] | None]:
         """(m,) times, s; (m, j) commands; (m, j) whether a message contains them, None for all."""
         topic, joints = timed.series.topic, self.commanded.joints
-        order = sorted_rows(timed.stamp)
+        order = stamp_order(timed.stamp)
         table = self.commanded.table[timed.rows[order]]
         time = _seconds(timed.stamp[order], start)
         self.checks.refuse_infinite("command", table, joints, time, topic)
@@ -327,7 +327,7 @@ class _Maker:
         if not all(commanded):
             raise self.checks.error(
                 "a joint has no command before or after a step of the clock", topic,
-                value=listed([j for j, some in zip(joints, commanded, strict=True) if not some]),
+                value=list_names([j for j, has in zip(joints, commanded, strict=True) if not has]),
                 expected="one clock, or --clock log",
             )  # fmt: skip
         if not some.all():

@@ -88,7 +88,7 @@ def setpoint(
         _corners(time[mine], values[mine], between)
         for values, mine in zip(command.T, own.T, strict=True)
     ]
-    return _combined(columns)
+    return _combine(columns)
 
 
 def _corners(
@@ -117,7 +117,7 @@ def _corners(
     return np.array(corners), np.array(values)
 
 
-def _combined(columns: Sequence[tuple[FloatArray, FloatArray]]) -> Setpoint:
+def _combine(columns: Sequence[tuple[FloatArray, FloatArray]]) -> Setpoint:
     """Combine the setpoints of several joints, at the times of all of them."""
     first = columns[0][0]
     if all(np.array_equal(time, first) for time, _ in columns):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 
 
-def sorted_rows(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+def stamp_order(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
     """(n,) indices of the messages in stable order of their stamps."""
     return np.argsort(stamp, kind="stable")
 
@@ -30,7 +30,7 @@ class StateRows:
     merged: int
 
 
-def merged_states(
+def merge_states(
     stamp: NDArray[np.int64], fields: dict[str, FloatArray | None], carried: NDArray[np.bool_]
 ) -> StateRows:
     """Merge messages with one stamp and different joints.

@@ -23,7 +23,7 @@ from pytest_twin.adaptation.guard import Guard
 from pytest_twin.commands import shadow as command
 from pytest_twin.effects.unnamed_law import KNOTS
 from pytest_twin.formats.schema import load_schema
-from pytest_twin.gate.promotion import unpromoted
+from pytest_twin.gate.promotion import unpromoted_lines
 from pytest_twin.twin import load_twin
 
 FK = """\
@@ -159,7 +159,7 @@ def test_a_residual_is_promoted_then_released_and_later_changes_are_reported(pla
     onnx_spring(twin / "spring.onnx")
     declare_residual(place, "onnx", "spring.onnx")
     asset = (twin / "model.xml").read_bytes()
-    (problem,) = unpromoted(load_twin(twin / "twin.yaml"))
+    (problem,) = unpromoted_lines(load_twin(twin / "twin.yaml"))
     assert "residual 'spring-1': no valid record of a shadow run" in problem
     assert run_gate(twin, "--twin-release") != 0
     run_shadow(place, 0, "--promote")
@@ -168,7 +168,7 @@ def test_a_residual_is_promoted_then_released_and_later_changes_are_reported(pla
     assert (twin / "releases" / "0002" / "files" / "shadow" / "spring-1.json").is_file()
     assert (twin / "model.xml").read_bytes() == asset
     onnx_spring(twin / "spring.onnx", 0.3)
-    (problem,) = unpromoted(load_twin(twin / "twin.yaml"))
+    (problem,) = unpromoted_lines(load_twin(twin / "twin.yaml"))
     assert "residual 'spring-1' has changed since its shadow run" in problem
     assert cli.main(["rollback", "--twin", str(twin)]) == 0
     released = twin / "releases" / "0002" / "files"

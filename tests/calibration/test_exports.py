@@ -12,7 +12,7 @@ import yaml
 
 from pytest_twin.calibration.chain import ChainParameters, forward, link_parameters
 from pytest_twin.calibration.closed_form import rigid
-from pytest_twin.calibration.exported_mjcf import calibrated_mjcf
+from pytest_twin.calibration.exported_mjcf import write_calibrated_mjcf
 from pytest_twin.calibration.exports import (
     calibrated_urdf,
     camera_info,
@@ -123,7 +123,7 @@ def test_forward_kinematics_of_the_exported_mjcf_agree_with_the_calibration(tmp_
         },
         "hand_eye": pose_record("tool", "camera"),
     }  # fmt: skip
-    (tmp_path / "new.xml").write_text(calibrated_mjcf(robot, records, tmp_path))
+    (tmp_path / "new.xml").write_text(write_calibrated_mjcf(robot, records, tmp_path))
     new = load_serial_chain(tmp_path / "new.xml", "tool")
     readings = rng.uniform(-1.0, 1.0, (10, 4))
     parameters = ChainParameters(

@@ -139,7 +139,7 @@ def test_a_locked_joint_does_not_move_under_gravity(tmp_path: Path, integrator: 
           <geom size=".01" mass="0.02"/></body></body>
     </worldbody></mujoco>"""
     robot = load_text(tmp_path, text)
-    model = simulate.prepared_model(robot, locked=["lift"])
+    model = simulate.prepare_model(robot, locked=["lift"])
     data = simulate.initial_state(model, robot, robot.model.qpos0)
     data.qfrc_applied[1] = 0.05
     run = simulate.simulate(model, data, simulate.steps_in(model, 2.0))

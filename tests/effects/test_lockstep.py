@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from pytest_twin.realization.lockstep import lockstep
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
 PENDULUM = """\
 <mujoco><option timestep="0.002"/><worldbody><body name="link">
@@ -28,7 +28,7 @@ def step_pendulums(pushed: dict[int, float], rows: int = 3) -> tuple[np.ndarray,
         for row, effort in pushed.items():
             control[row] = effort if k >= 10 else 0.0
 
-    with quiet():
+    with suppress_mujoco_warnings():
         lockstep(batch, STEPS, before)
     return angle.copy(), begun, batch
 

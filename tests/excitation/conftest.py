@@ -14,5 +14,5 @@ def excited(tmp_path_factory: pytest.TempPathFactory) -> Excited:
     path = write_twin(folder, approved_for_arm())
     (folder / "out").mkdir()
     found = module.excite(*loaded(path))
-    answer = module.written(found, path, folder / "out")
+    answer = module.write_motions(found, path, folder / "out")
     return Excited(folder, found, answer["document"])

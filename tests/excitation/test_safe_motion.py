@@ -18,7 +18,7 @@ from pytest_twin.excitation.excite import Excitation, excite
 from pytest_twin.excitation.find_safe import Robot, SafeMotion
 from pytest_twin.excitation.motion import Motion
 from pytest_twin.excitation.read_limits import read_approved
-from pytest_twin.excitation.safety import commanded, reasons, simulated
+from pytest_twin.excitation.safety import check_commands, check_simulation, reasons
 from pytest_twin.identification.regressor.regressor import Regressor
 
 UPPER, LOWER = 0.25, 0.15
@@ -38,7 +38,7 @@ def checked(folder: Path, motion: Motion, **changes: Any) -> list[str]:
     """Limits that the commands of a motion exceed, with changed lines under ``excitation:``."""
     realization, twin = loaded(write_twin(folder, approved_for_arm(**changes)))
     approved = read_approved(realization, twin)
-    return reasons([commanded(motion, approved, ClearanceChecker(realization, approved))])
+    return reasons([check_commands(motion, approved, ClearanceChecker(realization, approved))])
 
 
 def tip(position: np.ndarray) -> np.ndarray:
@@ -117,7 +117,7 @@ def test_effort_is_checked_for_a_model_that_is_20_percent_worse(found: Excitatio
     tight = replace(found.approved, joints=(lift, found.approved.joints[1]))
     robot = Robot(found.realization, tight)
     responses = [model.responses([one.motion])[0] for model in (robot.nominal, robot.worse)]
-    verdict = simulated(one.motion, tight, robot.around, *responses)
+    verdict = check_simulation(one.motion, tight, robot.around, *responses)
     assert not verdict.is_safe
     assert [words.partition(":")[0] for words in reasons([verdict])] == [
         "effort of lift, 20 % worse model"

@@ -13,7 +13,7 @@ from pytest_twin.formats.file_names import (
     portable_names,
     portable_paths,
 )
-from pytest_twin.release.file_names import colliding, problem_with
+from pytest_twin.release.file_names import colliding_names, problem_with
 
 NAMES = st.one_of(
     st.text(max_size=12),
@@ -101,7 +101,7 @@ def test_portable_paths_are_valid_and_unique(paths: list[str]) -> None:
     found = portable_paths(paths)
     assert list(found) == paths
     assert [problem_with(path) for path in found.values()] == [None] * len(paths)
-    assert colliding(found.values()) == []
+    assert colliding_names(found.values()) == []
 
 
 def test_a_portable_path_is_unchanged() -> None:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from pytest_twin.identification.effort.filtering import choose_filter
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 
 TIME = np.arange(0.0, 20.0, 0.005)
 
 
-def recording(first: np.ndarray, second: np.ndarray) -> Measured:
+def recording(first: np.ndarray, second: np.ndarray) -> MeasuredRecording:
     noise = 2e-6 * np.random.default_rng(0).standard_normal((len(TIME), 2))
-    return Measured(
+    return MeasuredRecording(
         Path("run.csv"), 0.0, ("shoulder", "elbow"), TIME, np.column_stack([first, second]) + noise,
         None, np.zeros((len(TIME), 2)), np.zeros(2, dtype=bool), np.full(2, np.inf), {},
     )  # fmt: skip

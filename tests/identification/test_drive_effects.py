@@ -27,7 +27,7 @@ from pytest_twin.formats.schema import load_schema
 from pytest_twin.identification.drive_effects import changed_attributes
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
-from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
 from pytest_twin.identification.run import identify_files
 from pytest_twin.identification.simulation import staged_fit
 from pytest_twin.realization import load
@@ -198,7 +198,7 @@ def test_only_systematic_differences_from_the_law_of_a_servo_count(
         for path in runs
         for one in read_measured(path, robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
     ]
-    found = identify_effort(robot, MeasuredSet(tuple(read), ()), NO_SIGNALS)
+    found = identify_effort(robot, MeasuredRecordings(tuple(read), ()), NO_SIGNALS)
     gains = servo_gains(robot, read, found, NO_SIGNALS)
     assert all(gain.misfit < 0.01 for gain in gains) == follows
     assert len(gains) == 1

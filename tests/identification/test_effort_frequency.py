@@ -8,18 +8,18 @@ import numpy as np
 from scipy import signal
 
 from pytest_twin.identification.closed_loop import effort_responses
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 
 RATE = 100.0
 
 
-def shaken(name: str, seconds: float) -> Measured:
+def shaken(name: str, seconds: float) -> MeasuredRecording:
     """Two joints; the first follows its effort by a known filter, the second has no sensor."""
     time = np.arange(round(seconds * RATE)) / RATE
     effort = np.random.default_rng(2).standard_normal((len(time), 2))
     position = signal.lfilter([0.1], [1.0, -0.9], effort, axis=0)
     effort[:, 1] = np.nan
-    return Measured(
+    return MeasuredRecording(
         Path(name), 0.0, ("a", "b"), time, position, None, effort, np.zeros(2, dtype=bool),
         np.full(2, np.inf), {},
     )  # fmt: skip

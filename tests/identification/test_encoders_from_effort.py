@@ -9,10 +9,14 @@ import pytest
 from arms import JOINTS, simulated_effort, true_arm, write_model
 
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.encoders import EncoderError, EncoderErrors, widened
+from pytest_twin.identification.effort.encoders import (
+    EncoderError,
+    EncoderErrors,
+    widen_by_encoder_errors,
+)
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.records import effort_document
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS
@@ -30,13 +34,13 @@ def identified(
         time, q, effort = simulated_effort(true_arm(folder), seed)
         effort = np.column_stack([np.interp(time - late, time, one) for one in effort.T])
         runs.append(
-            Measured(
+            MeasuredRecording(
                 folder / f"{seed}.csv", 0.0, JOINTS, time, q * (1 + np.array(scale)) + bias, None,
                 effort, np.zeros(2, dtype=bool), np.full(2, np.inf), {},
             )
         )  # fmt: skip
     return identify_effort(
-        load(write_model(folder)), MeasuredSet(tuple(runs[:2]), (runs[2],)), NO_SIGNALS
+        load(write_model(folder)), MeasuredRecordings(tuple(runs[:2]), (runs[2],)), NO_SIGNALS
     )
 
 
@@ -100,7 +104,7 @@ def test_one_uncorrected_error_among_right_encoders_widens_the_intervals() -> No
             EncoderError(f"joint{k}", "encoder_bias", value, Z95 * noise)
             for k, value in enumerate(values)
         )
-        found = widened(problem, exact, slopes, EncoderErrors(readings))
+        found = widen_by_encoder_errors(problem, exact, slopes, EncoderErrors(readings))
         if bias:
             # Nearly the whole estimate of three deviations counts.
             assert 0.9 * 2.0 * bias < found.half_width[0] / Z95 < 1.2 * 2.0 * bias

@@ -10,40 +10,42 @@ import pytest
 from arms import JOINTS, closed_loop, true_arm, write_model
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS
 
 
-def simulated_recording(folder: Path, seed: int, noise: float) -> Measured:
+def simulated_recording(folder: Path, seed: int, noise: float) -> MeasuredRecording:
     time, position, effort, command = closed_loop(true_arm(folder), seed, noise)
-    return Measured(
+    return MeasuredRecording(
         folder / f"{seed}.csv", 0.0, JOINTS, time, position, None, effort,
         np.zeros(2, dtype=bool), np.full(2, np.inf), {}, command=command,
     )  # fmt: skip
 
 
-def identified(folder: Path, recordings: list[Measured]) -> EffortResult:
+def identified(folder: Path, recordings: list[MeasuredRecording]) -> EffortResult:
     return identify_effort(
-        load(write_model(folder)), MeasuredSet(tuple(recordings[:2]), (recordings[2],)), NO_SIGNALS
+        load(write_model(folder)),
+        MeasuredRecordings(tuple(recordings[:2]), (recordings[2],)),
+        NO_SIGNALS,
     )
 
 
 @pytest.fixture(scope="module")
-def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Measured]]:
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[MeasuredRecording]]:
     folder = tmp_path_factory.mktemp("noisy")
     return folder, [simulated_recording(folder, seed, 4e-3) for seed in (1, 2, 3)]
 
 
 @pytest.fixture(scope="module")
-def found(noisy: tuple[Path, list[Measured]]) -> EffortResult:
+def found(noisy: tuple[Path, list[MeasuredRecording]]) -> EffortResult:
     return identified(*noisy)
 
 
 def test_least_squares_is_biased_and_instrumental_variables_are_not(
-    noisy: tuple[Path, list[Measured]], found: EffortResult
+    noisy: tuple[Path, list[MeasuredRecording]], found: EffortResult
 ) -> None:
     estimate = found.estimate
     assert estimate.estimator == "instrumental variables"
@@ -87,7 +89,7 @@ def test_the_document_states_the_estimator_of_each_parameter(found: EffortResult
 
 
 def test_without_commands_least_squares_is_used_as_there_is_no_instrument(
-    noisy: tuple[Path, list[Measured]],
+    noisy: tuple[Path, list[MeasuredRecording]],
 ) -> None:
     folder, recordings = noisy
     result = identified(folder, [replace(one, command=None) for one in recordings])

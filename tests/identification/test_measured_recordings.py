@@ -9,7 +9,11 @@ import pytest
 from arms import simulated_effort, true_arm, write_model, write_recording
 
 from pytest_twin.errors import RecordingError
-from pytest_twin.identification.measured_recordings import Measured, read_measured, velocity_notes
+from pytest_twin.identification.measured_recordings import (
+    MeasuredRecording,
+    read_measured,
+    velocity_notes,
+)
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import Signals
@@ -18,7 +22,7 @@ from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
 def measured_signals(
     folder: Path, position: np.ndarray, effort: np.ndarray, signals: dict
-) -> Measured:
+) -> MeasuredRecording:
     path = write_recording(folder / "run.csv", np.arange(len(position)) / 100.0, position, effort)
     robot = load(write_model(folder))
     (one,) = read_measured(path, robot, DEFAULT_TOPICS, NO_OPTIONS, Signals.from_json(signals))

@@ -9,7 +9,7 @@ import pytest
 from arms import JOINTS, REAL, TRUE, simulated_effort, write_mcap, write_model
 
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
@@ -30,11 +30,11 @@ def identified(folder: Path, scale: list[float], payloads: list[str | None]) -> 
     for seed, payload in enumerate(payloads):
         time, q, effort = simulated_effort(robot.variant(payload=payload), seed)
         metadata = {} if payload is None else {"payload": payload}
-        found.append(Measured(
+        found.append(MeasuredRecording(
             folder / f"{seed}.csv", 0.0, JOINTS, time, q, None, effort * np.array(scale),
             np.zeros(2, dtype=bool), np.full(2, np.inf), metadata,
         ))  # fmt: skip
-    measured = MeasuredSet(tuple(found[:-1]), (found[-1],))
+    measured = MeasuredRecordings(tuple(found[:-1]), (found[-1],))
     return identify_effort(load(folder / "model.xml", twin=twin), measured, NO_SIGNALS)
 
 

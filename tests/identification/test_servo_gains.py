@@ -20,7 +20,7 @@ from pytest_twin.identification.drive_effects import DriveRecordings, drive_reco
 from pytest_twin.identification.effort.identify import identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.fit_patches import patches_of
-from pytest_twin.identification.measured_recordings import MeasuredSet, read_measured
+from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import NO_OPTIONS
@@ -156,7 +156,7 @@ def test_an_effort_that_follows_another_law_gives_no_gains(tmp_path: Path) -> No
     for law, count in (("servo", 2), ("other", 0)):
         run = write_run(tmp_path / f"{law}.csv", 0, law)
         (one,) = read_measured(run, robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
-        found = identify_effort(robot, MeasuredSet((one,), ()), NO_SIGNALS)
+        found = identify_effort(robot, MeasuredRecordings((one,), ()), NO_SIGNALS)
         gains = servo_gains(robot, [one], found, NO_SIGNALS)
         assert len(gains) == count
         assert all(gain.misfit < 0.01 for gain in gains)
@@ -170,7 +170,7 @@ def test_recordings_of_a_declared_controller_give_no_gains(tmp_path: Path) -> No
     robot = load(tmp_path / "model.xml", twin=load_twin(tmp_path / "twin.yaml"))
     run = write_run(tmp_path / "a.csv", 0, "servo")
     (one,) = read_measured(run, robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
-    found = identify_effort(robot, MeasuredSet((one,), ()), NO_SIGNALS)
+    found = identify_effort(robot, MeasuredRecordings((one,), ()), NO_SIGNALS)
     assert len(servo_gains(robot, [one], found, NO_SIGNALS)) == 2
     soft = replace(one, metadata={"controller": "soft"})
     assert servo_gains(robot, [soft], found, NO_SIGNALS) == []
@@ -183,7 +183,7 @@ def test_drives_are_fitted_beside_the_gains_of_servos_that_follow_their_law(
     robot = load(tmp_path / "model.xml")
     run = write_run(tmp_path / "a.csv", 0, "servo")
     (one,) = read_measured(run, robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
-    measured = MeasuredSet((one,), ())
+    measured = MeasuredRecordings((one,), ())
     found = identify_effort(robot, measured, NO_SIGNALS)
     shoulder, elbow = servo_gains(robot, [one], found, NO_SIGNALS)
     given = (measured, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS, found)

@@ -11,7 +11,7 @@ from arms import NOMINAL, TRUE, write_model
 from test_wrong_signals import identified, measured
 
 from pytest_twin.identification.effort.position_mistakes import clipped_ends, position_mistakes
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.realization import load
 from pytest_twin.signals import Signals
 
@@ -56,7 +56,7 @@ def test_positions_far_beyond_the_range_are_reported_with_the_gear_ratio(
 
 
 def test_a_gear_ratio_applied_to_positions_of_the_joint_is_reported(tmp_path: Path) -> None:
-    def divided(one: Measured) -> Measured:
+    def divided(one: MeasuredRecording) -> MeasuredRecording:
         return replace(one, position=one.position / np.array([1.0, 50.0]))
 
     signals = Signals.from_json({"joints": {"elbow": {"gear": 50.0}}})
@@ -81,7 +81,7 @@ def test_a_joint_that_stops_or_jumps_is_not_called_clipped() -> None:
 
 
 def test_clipped_positions_reject_the_result(tmp_path: Path) -> None:
-    def clipped(one: Measured) -> Measured:
+    def clipped(one: MeasuredRecording) -> MeasuredRecording:
         top = 0.6 * one.position[:, 1].max()
         position = one.position.copy()
         position[:, 1] = np.minimum(position[:, 1], top)

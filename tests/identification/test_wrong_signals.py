@@ -13,7 +13,11 @@ from scipy import signal
 from pytest_twin.errors import RecordingError
 from pytest_twin.excitation.approved_limits import MECHANISMS
 from pytest_twin.identification.effort.identify import EffortResult, identify_effort
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet, saturation_level
+from pytest_twin.identification.measured_recordings import (
+    MeasuredRecording,
+    MeasuredRecordings,
+    saturation_level,
+)
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load
@@ -21,9 +25,9 @@ from pytest_twin.report.identification import mechanisms, render
 from pytest_twin.signals import NO_SIGNALS, Signals
 
 
-def measured(folder: Path, seed: int, seconds: float = 20.0) -> Measured:
+def measured(folder: Path, seed: int, seconds: float = 20.0) -> MeasuredRecording:
     time, q, effort = simulated_effort(true_arm(folder), seed, seconds=seconds)
-    return Measured(
+    return MeasuredRecording(
         folder / f"{seed}.csv", 0.0, JOINTS, time, q, None, effort,
         np.zeros(2, dtype=bool), np.full(2, np.inf), {},
     )  # fmt: skip
@@ -32,13 +36,15 @@ def measured(folder: Path, seed: int, seconds: float = 20.0) -> Measured:
 def identified_from_two(folder: Path, change) -> EffortResult:
     """The result for three recordings with the same change; the last one is held out."""
     *fit, held = (change(measured(folder, seed)) for seed in (1, 2, 3))
-    return identify_effort(load(write_model(folder)), MeasuredSet((*fit,), (held,)), NO_SIGNALS)
+    return identify_effort(
+        load(write_model(folder)), MeasuredRecordings((*fit,), (held,)), NO_SIGNALS
+    )
 
 
 def identified(folder: Path, change, signals: Signals = NO_SIGNALS) -> EffortResult:
     """The result for two recordings with the same change; the second one is held out."""
     fit, held = (change(measured(folder, seed)) for seed in (1, 2))
-    return identify_effort(load(write_model(folder)), MeasuredSet((fit,), (held,)), signals)
+    return identify_effort(load(write_model(folder)), MeasuredRecordings((fit,), (held,)), signals)
 
 
 def scaled(factors: list[float]):
@@ -69,7 +75,7 @@ def test_with_a_suspected_wrong_sign_delay_and_encoder_error_are_not_estimated(
 
 
 def test_for_joints_that_hardly_move_the_missing_motions_are_reported(tmp_path: Path) -> None:
-    def hardly_moved(one: Measured) -> Measured:
+    def hardly_moved(one: MeasuredRecording) -> MeasuredRecording:
         random = np.random.default_rng(int(one.effort[0, 0] * 1e6) % 1000)
         turn = 0.02 * np.sin(0.5 * one.time)[:, None] * np.array([1.0, 0.0])
         return replace(
@@ -129,18 +135,18 @@ def test_an_unsigned_effort_with_noise_or_a_constant_is_reported(
         time, q, effort = simulated_effort(true_arm(tmp_path), seed, about=np.pi / 2)
         random = np.random.default_rng(seed)
         amount = np.abs(effort) + constant + noise * random.standard_normal(effort.shape)
-        runs.append(Measured(
+        runs.append(MeasuredRecording(
             tmp_path / f"{seed}.csv", 0.0, JOINTS, time, q, None, amount,
             np.zeros(2, dtype=bool), np.full(2, np.inf), {},
         ))  # fmt: skip
     robot = load(write_model(tmp_path))
-    found = identify_effort(robot, MeasuredSet((runs[0],), (runs[1],)), NO_SIGNALS).suspected
+    found = identify_effort(robot, MeasuredRecordings((runs[0],), (runs[1],)), NO_SIGNALS).suspected
     assert [one.what.partition(":")[0] for one in found] == list(JOINTS)
     assert all("it is an amount, without a sign" in one.what and one.is_fatal for one in found)
 
 
 def test_a_saturated_effort_leaves_the_parameters_unbiased(tmp_path: Path) -> None:
-    def clipped(one: Measured) -> Measured:
+    def clipped(one: MeasuredRecording) -> MeasuredRecording:
         effort = one.effort.copy()
         effort[:, 0] = np.clip(effort[:, 0], -24.0, 24.0)
         return replace(one, effort=effort, limit=np.array([24.0, np.inf]))
@@ -168,7 +174,7 @@ def test_a_gear_ratio_applied_in_the_wrong_direction_is_reported(tmp_path: Path)
 
 
 def test_friction_that_decreases_during_a_recording_is_reported(tmp_path: Path) -> None:
-    def warming(one: Measured) -> Measured:
+    def warming(one: MeasuredRecording) -> MeasuredRecording:
         way = np.sign(np.gradient(one.position[:, 0]))
         fall = 0.4 * (0.5 - one.time / one.time[-1])
         effort = one.effort.copy()
@@ -183,7 +189,7 @@ def test_friction_that_decreases_during_a_recording_is_reported(tmp_path: Path) 
 def drifting(share: float, column) -> object:
     """A change that adds (1/2 - t/T) times ``share`` times a column to the shoulder's effort."""
 
-    def drifted(one: Measured) -> Measured:
+    def drifted(one: MeasuredRecording) -> MeasuredRecording:
         effort = one.effort.copy()
         fall = share * (0.5 - one.time / one.time[-1])
         effort[:, 0] += fall * column(np.gradient(one.position[:, 0], one.time))
@@ -207,7 +213,7 @@ def test_a_zero_of_the_effort_that_drifts_is_reported(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("late", [0.012, -0.008])
 def test_a_delay_of_the_efforts_is_identified_and_corrected(tmp_path: Path, late: float) -> None:
-    def delayed(one: Measured) -> Measured:
+    def delayed(one: MeasuredRecording) -> MeasuredRecording:
         columns = [np.interp(one.time - late, one.time, column) for column in one.effort.T]
         return replace(one, effort=np.column_stack(columns))
 
@@ -222,7 +228,7 @@ def test_a_delay_of_the_efforts_is_identified_and_corrected(tmp_path: Path, late
 def low_passed(order: int, cutoff: float):
     """A change that low-pass filters the efforts, as a filter in the drive does; cutoff in Hz."""
 
-    def filtered(one: Measured) -> Measured:
+    def filtered(one: MeasuredRecording) -> MeasuredRecording:
         b, a = signal.butter(order, cutoff, fs=one.rate)
         at_rest = signal.lfilter_zi(b, a)
         columns = [signal.lfilter(b, a, c, zi=at_rest * c[0])[0] for c in one.effort.T]
@@ -259,7 +265,7 @@ def test_clipping_of_an_effort_is_detected() -> None:
 
 
 def test_parameters_of_a_joint_at_rest_are_unobservable(tmp_path: Path) -> None:
-    def stood(one: Measured) -> Measured:
+    def stood(one: MeasuredRecording) -> MeasuredRecording:
         position = one.position.copy()
         position[:, 1] = 0.3
         return replace(one, position=position)

@@ -7,7 +7,11 @@ import pytest
 from scipy import signal
 
 from pytest_twin.metrics.frequency import bandwidth, decibel, resonance
-from pytest_twin.metrics.recorded_frequency import compare_responses, recorded_response, uniform
+from pytest_twin.metrics.recorded_frequency import (
+    compare_responses,
+    recorded_response,
+    resample_uniformly,
+)
 
 RATE = 200.0
 
@@ -90,7 +94,7 @@ def test_bandwidths_and_resonances_of_two_responses_are_compared() -> None:
 
 def test_irregular_stamps_are_resampled_to_a_uniform_rate() -> None:
     time = np.cumsum(np.random.default_rng(0).uniform(0.004, 0.006, 2000))
-    rate, (wave,) = uniform(time, np.sin(2 * np.pi * time))
+    rate, (wave,) = resample_uniformly(time, np.sin(2 * np.pi * time))
     assert rate == pytest.approx(200.0, rel=0.01)
     grid = time[0] + np.arange(len(wave)) / rate
     np.testing.assert_allclose(wave, np.sin(2 * np.pi * grid), atol=1e-3)

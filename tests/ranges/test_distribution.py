@@ -27,11 +27,11 @@ from ranges_files import (
     true_arm,
 )
 
-from pytest_twin.metrics.envelope import coverage_interval, envelope, inside
+from pytest_twin.metrics.envelope import coverage_interval, envelope, is_inside
 from pytest_twin.ranges.check import assess, predict_envelopes
 from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.ranges.gather import collect_uncertain_parameters
-from pytest_twin.ranges.recordings import checked_recordings
+from pytest_twin.ranges.recordings import read_check_recordings
 from pytest_twin.ranges.run import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import load
@@ -52,7 +52,9 @@ def test_a_positive_coordinate_has_a_truncated_normal_distribution(mean: float, 
 def test_the_envelope_contains_the_stated_share_of_new_traces() -> None:
     rng = np.random.default_rng(0)
     found = envelope(rng.standard_normal((63, 400, 2)), 0.9)
-    assert inside(rng.standard_normal((200, 400, 2)), found).mean() == pytest.approx(0.9, abs=0.005)
+    assert is_inside(rng.standard_normal((200, 400, 2)), found).mean() == pytest.approx(
+        0.9, abs=0.005
+    )
     assert coverage_interval(0.9, 1e9) == pytest.approx((0.9, 0.9), abs=1e-3)
     assert coverage_interval(1.0, 10.0)[0] == pytest.approx(0.025 ** (1 / 10), abs=1e-6)
 
@@ -63,7 +65,7 @@ def test_a_robot_with_mean_parameters_moves_like_the_replay_of_the_twin(tmp_path
     robot = load(twin.first_realization.file, twin=twin)
     found = collect_uncertain_parameters(twin, robot, None)
     final = [tmp_path / "a.mcap"]
-    trial = checked_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
+    trial = read_check_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
     robots = VariedRobots(robot, None, found.distribution.coordinates, found.bodies, 2**32)
     means = np.array([[one.mean for one in found.distribution.coordinates]])
     (traces,) = robots.simulate([trial], means)
@@ -78,7 +80,7 @@ def test_a_drawn_robot_moves_like_a_compiled_model_with_its_values(tmp_path: Pat
     robot = load(twin.first_realization.file, twin=twin)
     found = collect_uncertain_parameters(twin, robot, None)
     final = [tmp_path / "a.mcap"]
-    trial = checked_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
+    trial = read_check_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
     robots = VariedRobots(robot, None, found.distribution.coordinates, found.bodies, 2**32)
     draws = found.distribution.draws(3, 5)
     (traces,) = robots.simulate([trial], draws)
@@ -205,7 +207,7 @@ def test_recordings_of_robots_drawn_from_the_record_lie_in_the_envelope_at_the_s
     for _ in range(6):
         truth = true_arm(rng.multivariate_normal(MEANS, covariance()))
         paths = [record_motion(tmp_path / f"{k}.mcap", truth, rng, seconds=1.5) for k in range(2)]
-        final = checked_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
+        final = read_check_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
         robots = VariedRobots(robot, None, found.distribution.coordinates, found.bodies, 2**32)
         noise = dict.fromkeys(("shoulder", "elbow"), NOISE)
         envelopes = predict_envelopes(robots.simulate(final, draws), noise, 0.95, 0)

@@ -23,7 +23,7 @@ from pytest_twin.ranges import gather
 from pytest_twin.ranges.distribution import Coordinate, Distribution
 from pytest_twin.ranges.files import write_files
 from pytest_twin.ranges.gather import collect_uncertain_parameters
-from pytest_twin.ranges.recordings import checked_recordings
+from pytest_twin.ranges.recordings import read_check_recordings
 from pytest_twin.ranges.run import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import load
@@ -110,7 +110,7 @@ def turns(folder: Path) -> np.ndarray:
     patched = patched_of(robot)
     found = collect_uncertain_parameters(twin, robot, patched)
     paths = [record_release(folder / "final.mcap")]
-    trials = checked_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
+    trials = read_check_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
     robots = VariedRobots(robot, patched, found.distribution.coordinates, found.bodies, 2**32)
     (traces,) = robots.simulate(trials, found.distribution.draws(64, 1))
     return np.abs(traces.robots[:, :, 0]).max(axis=1) / (2.0 * np.pi)

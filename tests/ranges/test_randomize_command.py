@@ -60,7 +60,7 @@ def test_without_final_recordings_the_verdict_is_not_checked(
 ) -> None:
     out = run_randomize(make_twin(tmp_path, [record(covariance())]), 1)
     assert json.loads((out / "ranges.json").read_text())["verdict"] == "not_checked"
-    assert "to do: record motions of the task that guide nothing" in capsys.readouterr().out
+    assert "to do: record motions of the task that no fit or choice uses" in capsys.readouterr().out
 
 
 def test_a_robot_outside_the_ranges_fails_the_check(

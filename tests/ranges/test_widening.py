@@ -14,7 +14,7 @@ from ranges_files import MEANS, STD, covariance, make_twin, record, record_motio
 
 from pytest_twin.ranges import widening
 from pytest_twin.ranges.run import ranges_of_file
-from pytest_twin.ranges.widening import Deviation, fewest_robots, widened
+from pytest_twin.ranges.widening import Deviation, fewest_robots, widen
 
 
 class Ranges:
@@ -35,7 +35,7 @@ def found(monkeypatch: pytest.MonkeyPatch, ratio_of) -> tuple[float, dict]:
         "deviations",
         lambda traces, noise, share: {"elbow": Deviation(ratio_of(traces), 0.0)},
     )
-    ranges, said = widened(Ranges(), lambda one: one.factor, {}, {}, 0.95)
+    ranges, said = widen(Ranges(), lambda one: one.factor, {}, {}, 0.95)
     return ranges.factor, said
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from pytest_twin.realization.coal_hull import convex, outward_faces
+from pytest_twin.realization.coal_hull import convex_hull, outward_faces
 
 
 def cone(count: int) -> np.ndarray:
@@ -20,7 +20,7 @@ def cone(count: int) -> np.ndarray:
 @pytest.mark.parametrize("count", [60, 300, 2000])
 def test_distances_to_a_hull_are_right_for_any_number_of_neighbours_of_a_vertex(count: int) -> None:
     points = cone(count)
-    made = convex(points, outward_faces(ConvexHull(points), points))
+    made = convex_hull(points, outward_faces(ConvexHull(points), points))
     ball = coal.Sphere(0.05)
     for away in ([0.4, 0.1, 0.0], [0.0, 0.0, 0.5], [-0.2, 0.3, -0.2]):
         at = coal.Transform3s(np.eye(3), np.array(away))

@@ -31,7 +31,8 @@ def test_a_repaired_inertia_rounded_to_nine_digits_still_compiles() -> None:
         axes, _ = np.linalg.qr(random.normal(size=(3, 3)))
         broken = axes @ np.diag(random.uniform(1e-4, 1e-3, 3) * [1, 1, 5]) @ axes.T
         stated = [
-            float(f"{value:.9g}") for value in inertia.six_components(inertia.consistent(broken))
+            float(f"{value:.9g}")
+            for value in inertia.six_components(inertia.nearest_consistent(broken))
         ]
         spec = mujoco.MjSpec()
         body = spec.worldbody.add_body()

@@ -10,7 +10,7 @@ from test_mjcf_loading import binary_stl
 from pytest_twin.errors import PathError, TwinError
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import load
-from pytest_twin.realization.files.locate import Located, locate
+from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.packages import Packages
 from pytest_twin.realization.files.search import SearchFolders
 
@@ -42,7 +42,7 @@ def stl(path: Path) -> Path:
     return path
 
 
-def loaded(path: Path, **named: object) -> Located:
+def loaded(path: Path, **named: object) -> ModelFolders:
     search = SearchFolders(**named)  # type: ignore[arg-type]
     realization = load(path, search=search)
     assert realization.model.nmesh == 1

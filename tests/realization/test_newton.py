@@ -35,7 +35,7 @@ def both(stage: Path) -> tuple[Realization, Realization]:
 
 def simulated_fall(realization: Realization, seconds: float = 0.15) -> simulate.Run:
     """A fall under gravity with a time step of 1 ms, without contacts and joint limits."""
-    model = simulate.prepared_model(realization, contact=False)
+    model = simulate.prepare_model(realization, contact=False)
     model.opt.timestep = 0.001
     data = simulate.initial_state(model, realization, np.array([0.4, 0.1]))
     return simulate.run(realization, model, data, simulate.steps_in(model, seconds))
@@ -72,7 +72,7 @@ def test_the_energy_of_a_falling_arm_has_no_numerical_drift(
 @needs_newton
 def test_a_locked_joint_does_not_move(both: tuple[Realization, Realization]) -> None:
     newton = both[1]
-    model = simulate.prepared_model(newton, contact=False, locked=["elbow"])
+    model = simulate.prepare_model(newton, contact=False, locked=["elbow"])
     data = simulate.initial_state(model, newton, np.array([0.4, 0.1]))
     run = simulate.run(newton, model, data, simulate.steps_in(model, 0.3))
     shoulder, elbow = np.ptp(run.qpos, axis=0)
@@ -83,7 +83,7 @@ def test_a_locked_joint_does_not_move(both: tuple[Realization, Realization]) -> 
 @needs_newton
 def test_a_simulation_with_contacts_is_refused(both: tuple[Realization, Realization]) -> None:
     newton = both[1]
-    model = simulate.prepared_model(newton)
+    model = simulate.prepare_model(newton)
     data = simulate.initial_state(model, newton, np.zeros(2))
     with pytest.raises(SpecError, match="stepped without contacts"):
         simulate.run(newton, model, data, 1)

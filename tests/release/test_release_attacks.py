@@ -668,12 +668,12 @@ def test_portable_file_names_are_accepted(name: str) -> None:
     [("a", "A"), ("a/b", "A/c"), ("straße", "STRASSE"), ("a", "a/b"), ("a", "A/b"), ("x", "x")],
 )
 def test_file_names_that_collide_on_other_systems_are_found(pair: tuple[str, str]) -> None:
-    assert file_names.colliding(pair)
-    assert file_names.colliding(reversed(pair))
+    assert file_names.colliding_names(pair)
+    assert file_names.colliding_names(reversed(pair))
 
 
 def test_distinct_file_names_do_not_collide() -> None:
-    assert file_names.colliding(["a/b", "a/c", "b/a", "ab"]) == []
+    assert file_names.colliding_names(["a/b", "a/c", "b/a", "ab"]) == []
 
 
 # verification without disk access

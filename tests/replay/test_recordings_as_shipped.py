@@ -14,7 +14,7 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import Damage, JointSeries, Recording
 from pytest_twin.recording_options import JointNames, RecordingOptions
 from pytest_twin.trial import Trial, make_trial, make_trials
-from pytest_twin.trial.common_stamps import on_one_base
+from pytest_twin.trial.common_stamps import resample_to_common_stamps
 
 COUNT = 400
 TIME = 0.01 * np.arange(COUNT)
@@ -154,7 +154,7 @@ def test_joints_with_different_stamps_keep_their_own_samples() -> None:
 
 def test_the_diagnosis_interpolates_all_joints_to_one_joints_stamps_with_a_note() -> None:
     whole = make_trial(recording(split_messages(states(), 0.005), commands()), structure())
-    made = on_one_base(whole)
+    made = resample_to_common_stamps(whole)
     assert made.is_dense
     at = made.time + 0.005
     assert np.abs(made.position[1:-1, 0] - 0.8 * np.sin(3.0 * at[1:-1])).max() < 2e-5
@@ -163,7 +163,7 @@ def test_the_diagnosis_interpolates_all_joints_to_one_joints_stamps_with_a_note(
 
 def test_a_trial_with_all_joints_in_each_message_is_not_resampled() -> None:
     made = make_trial(recording(states(), commands()), structure())
-    assert on_one_base(made) is made
+    assert resample_to_common_stamps(made) is made
 
 
 def test_a_command_message_for_one_joint_keeps_the_other_joints_command() -> None:
@@ -183,7 +183,7 @@ def test_a_joint_recorded_at_a_lower_rate_keeps_its_own_samples() -> None:
     )
     assert made.position[5, 2] == pytest.approx(0.005)
     assert np.isnan(made.position[6, 2])
-    slow = on_one_base(made)
+    slow = resample_to_common_stamps(made)
     assert len(slow.time) == COUNT // 5
     assert np.array_equal(slow.position[:, :2], MOTION[::5])
 
@@ -204,7 +204,7 @@ def test_a_nan_position_is_marked_as_unavailable() -> None:
     assert [(m.kind, m.joint, m.text) for m in made.marks] == [
         ("unavailable", "j2", "position is not filled in 1 message")
     ]
-    assert len(on_one_base(made).time) == COUNT - 1
+    assert len(resample_to_common_stamps(made).time) == COUNT - 1
 
 
 def test_two_publishers_with_different_positions_are_refused() -> None:

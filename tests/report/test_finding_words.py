@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pytest_twin.report.finding_words import ambiguous, finding_sentence, gain, to_confirm
+from pytest_twin.report.finding_words import ambiguity_sentence, finding_sentence, gain, to_confirm
 
 
 def finding(effect: str, joint: str | None = "elbow", **parameters: Any) -> dict[str, Any]:
@@ -90,8 +90,11 @@ def test_alternatives_above_10_percent_confidence_are_named() -> None:
         {"effect": "sensor_delay", "joint": None, "confidence": 0.05},
     ]
     said = finding("coulomb_friction") | {"alternatives": rivals}
-    assert ambiguous(said) == "Ambiguous: it may also be Stribeck friction at joint elbow (30 %)."
-    assert ambiguous(finding("coulomb_friction")) == ""
+    assert (
+        ambiguity_sentence(said)
+        == "Ambiguous: it may also be Stribeck friction at joint elbow (30 %)."
+    )
+    assert ambiguity_sentence(finding("coulomb_friction")) == ""
 
 
 def test_the_next_test_is_worded_as_an_instruction() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pytest_twin.report import progress_log
-from pytest_twin.report.progress_log import EachMinute
+from pytest_twin.report.progress_log import ProgressLog
 
 
 def test_each_minute_a_line_states_fraction_time_left_and_stage(
@@ -13,7 +13,7 @@ def test_each_minute_a_line_states_fraction_time_left_and_stage(
 ) -> None:
     now = 0.0
     monkeypatch.setattr(progress_log.time, "monotonic", lambda: now)
-    log = EachMinute("diagnosing")
+    log = ProgressLog("diagnosing")
     said = []
     for seconds, fraction in ((30.0, 0.1), (61.0, 0.2), (90.0, 0.3), (125.0, 0.5)):
         now = seconds

@@ -18,7 +18,7 @@ from pytest_twin.errors import ModelError, SpecError
 from pytest_twin.properties import PROPERTIES, Asset, Form, PropertyError, Tolerances
 from pytest_twin.properties.asset import load_asset
 from pytest_twin.properties.form import realization_form, reference_form
-from pytest_twin.properties.trees import leaves, mirrored, rerooted, tree_of, urdf_text
+from pytest_twin.properties.trees import leaves, mirror, reroot, tree_of, urdf_text
 from pytest_twin.realization import load, usd
 from pytest_twin.strategies import DrawnRobot, perturbed_assets, robots
 
@@ -326,7 +326,7 @@ def test_energy_conservation_detects_a_dissipative_force(arm: Asset) -> None:
     ("name", "broken"),
     [
         ("mirrored", lambda tree: tree),
-        ("rerooted", lambda tree, root: _turned(rerooted(tree, root))),
+        ("rerooted", lambda tree, root: _turned(reroot(tree, root))),
     ],
 )
 def test_mirrored_and_rerooted_properties_detect_a_wrong_transformation(
@@ -357,10 +357,10 @@ def test_rerooting_keeps_the_total_mass_and_the_joint_types(tmp_path: Path) -> N
     asset = asset_of(tmp_path)
     form = asset.simulated[0]
     tree = tree_of(form.model)
-    turned = rerooted(tree, leaves(tree)[-1])
+    turned = reroot(tree, leaves(tree)[-1])
     assert turned.mass() == pytest.approx(6.2)
     assert next(iter(turned.bodies)) == leaves(tree)[-1]
-    text = urdf_text(mirrored(turned))
+    text = urdf_text(mirror(turned))
     assert text.count('type="continuous"') == 2
     assert text.count('type="prismatic"') == 1
 

@@ -132,7 +132,7 @@ def describe(model: mujoco.MjModel, root: str) -> Description:
             float(model.qpos0[model.jnt_qposadr[index]]) if kind in ("hinge", "slide") else 0.0,
         )
     mimics, rank, others = _equalities(model)
-    geoms = _colliding(model)
+    geoms = _colliding_geoms(model)
     return Description(
         name="MJCF",
         engine=f"MuJoCo {mujoco.__version__}",
@@ -147,7 +147,7 @@ def describe(model: mujoco.MjModel, root: str) -> Description:
         shapes={
             body: shapes.in_order([_shape(model, g) for g in of]) for body, of in geoms.items()
         },
-        disabled_pairs=_disabled(model, geoms),
+        disabled_pairs=_disabled_pairs(model, geoms),
         contact=dict(
             Counter(
                 "friction " + " ".join(f"{value:g}" for value in model.geom_friction[geom])
@@ -287,7 +287,7 @@ def _equalities(
     return mimics, rank, tuple(others)
 
 
-def _colliding(model: mujoco.MjModel) -> dict[str, list[int]]:
+def _colliding_geoms(model: mujoco.MjModel) -> dict[str, list[int]]:
     found: dict[str, list[int]] = {}
     for geom in range(model.ngeom):
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
@@ -316,7 +316,9 @@ def _shape(model: mujoco.MjModel, geom: int) -> Shape:
     return shapes.of_points("convex hull" if convex else "mesh", points, pose)
 
 
-def _disabled(model: mujoco.MjModel, geoms: Mapping[str, list[int]]) -> frozenset[frozenset[str]]:
+def _disabled_pairs(
+    model: mujoco.MjModel, geoms: Mapping[str, list[int]]
+) -> frozenset[frozenset[str]]:
     """Return pairs of bodies with shapes whose collision MuJoCo disables."""
     excluded = {int(signature) for signature in model.exclude_signature}
     parents = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)

@@ -45,7 +45,7 @@ def joints(source: Description, target: Description) -> Row:
     )
 
 
-def independent(source: Description, target: Description) -> Row:
+def degrees_of_freedom(source: Description, target: Description) -> Row:
     """Compare degrees of freedom minus those that couplings remove."""
     verdict: Verdict = "kept" if source.independent == target.independent else "changed"
     return Row(
@@ -57,7 +57,7 @@ def independent(source: Description, target: Description) -> Row:
     )
 
 
-def passive(source: Description, target: Description) -> Row:
+def passive_joints(source: Description, target: Description) -> Row:
     """Compare joints without actuator and mimic."""
     items = [
         Item(name, "changed", "driven", "passive")

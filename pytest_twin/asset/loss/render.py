@@ -16,7 +16,7 @@ def features(matrix: Matrix) -> list[str]:
     return list(dict.fromkeys(row.feature for held in matrix.conversions for row in held.rows))
 
 
-def measured(row: Row) -> str:
+def difference_text(row: Row) -> str:
     """Return the measured difference and its tolerance as text."""
     if row.difference is None or row.tolerance is None:
         return ""
@@ -50,7 +50,7 @@ def markdown(matrix: Matrix) -> str:
                 row.before,
                 row.after,
                 row.comparison,
-                measured(row),
+                difference_text(row),
             )
             lines.append("| " + " | ".join(say(cell) for cell in columns) + " |")
         for row in conversion.rows:
@@ -78,7 +78,7 @@ def html(matrix: Matrix) -> str:
     return _template().render(
         matrix=matrix,
         features=features(matrix),
-        measured=measured,
+        measured=difference_text,
         row_of=lambda held, feature: next(
             (row for row in held.rows if row.feature == feature), None
         ),

@@ -13,7 +13,7 @@ from pytest_twin.audit.finding import Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.self_collision import BASE_POSE, PoseResult
 from pytest_twin.audit.srdf import states
-from pytest_twin.audit.srdf.document import Srdf, label_of, missing, place_of
+from pytest_twin.audit.srdf.document import Srdf, label_of, missing_attribute, place_of
 from pytest_twin.realization.node import Node
 
 _SAMPLES = 12
@@ -72,7 +72,7 @@ def check(srdf: Srdf) -> Iterator[Finding]:
         for sphere in node.all("sphere"):
             for attribute in ("center", "radius"):
                 if attribute not in sphere.attributes:
-                    yield missing(sphere, attribute, "center in m and radius in m")
+                    yield missing_attribute(sphere, attribute, "center in m and radius in m")
 
 
 def _ends(srdf: Srdf, node: Node) -> Iterator[Finding]:
@@ -111,7 +111,7 @@ def ignored_pairs(srdf: Srdf) -> IgnoredPairs:
     return found
 
 
-def measured(srdf: Srdf, geometry: Geometry) -> tuple[list[PoseResult], list[Finding]]:
+def measure_distances(srdf: Srdf, geometry: Geometry) -> tuple[list[PoseResult], list[Finding]]:
     """Compute distances at the base pose and every state, and findings of overlapping pairs."""
     if not any(shape.role == "collision" for shape in srdf.asset.shapes):
         return [], []
@@ -123,7 +123,7 @@ def measured(srdf: Srdf, geometry: Geometry) -> tuple[list[PoseResult], list[Fin
         hulls.near(f"sample {k + 1}", values, joined=True)
         for k, values in enumerate(_samples(srdf))
     ]
-    always = set.intersection(*({_of(n) for n in r.overlaps} for r in (at_base, *sampled)))
+    always = set.intersection(*({_pair_of(n) for n in r.overlaps} for r in (at_base, *sampled)))
     findings = [*_always(srdf, at_base, always, skipped), *_never(srdf, (at_base, *sampled))]
     results = [at_base]
     for name, values in list(states.poses(srdf).items())[:_MOST_STATES]:
@@ -134,7 +134,7 @@ def measured(srdf: Srdf, geometry: Geometry) -> tuple[list[PoseResult], list[Fin
     return results, findings
 
 
-def _of(near: self_collision.NearPair) -> Pair:
+def _pair_of(near: self_collision.NearPair) -> Pair:
     return frozenset((near.first, near.second))
 
 
@@ -168,7 +168,7 @@ def _always(
 ) -> Iterator[Finding]:
     neighbours = {frozenset((edge.parent, edge.child)) for edge in srdf.asset.edges}
     for near in base.overlaps:
-        pair = _of(near)
+        pair = _pair_of(near)
         if pair not in always or pair in skipped:
             continue
         adjacent = pair in neighbours
@@ -195,11 +195,11 @@ def _never(srdf: Srdf, results: tuple[PoseResult, ...]) -> Iterator[Finding]:
     told: set[Pair] = set()
     for result in results:
         for near in result.overlaps:
-            node = disabled.get(_of(near))
+            node = disabled.get(_pair_of(near))
             reason = "" if node is None else node.attributes.get("reason", "")
-            if node is None or reason.strip().lower() != _NEVER or _of(near) in told:
+            if node is None or reason.strip().lower() != _NEVER or _pair_of(near) in told:
                 continue
-            told.add(_of(near))
+            told.add(_pair_of(near))
             yield Finding(
                 "planning.never_is_wrong",
                 "warning",
@@ -235,7 +235,7 @@ def _state(
         if f"{node.attributes.get('group', '')}/{node.attributes.get('name', '')}" == result.name
     )
     for near in result.overlaps:
-        pair = _of(near)
+        pair = _pair_of(near)
         if pair in skipped or pair in always:
             continue
         yield Finding(

@@ -169,7 +169,7 @@ class Srdf:
         """Yield a finding if an attribute is missing, or names no existing link, joint or group."""
         name = node.attributes.get(attribute, "")
         if not name.strip():
-            yield missing(node, attribute, f"the name of a {kind}")
+            yield missing_attribute(node, attribute, f"the name of a {kind}")
             return
         names = self.known(kind)
         if name in names:
@@ -193,7 +193,7 @@ class Srdf:
         )
 
 
-def missing(node: Node, attribute: str, expected: str) -> Finding:
+def missing_attribute(node: Node, attribute: str, expected: str) -> Finding:
     """Build the finding for a missing or empty attribute."""
     return Finding(
         "planning.missing_attribute",

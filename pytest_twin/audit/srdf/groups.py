@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pytest_twin.audit.finding import Finding
-from pytest_twin.audit.srdf.document import Srdf, label_of, missing, place_of
+from pytest_twin.audit.srdf.document import Srdf, label_of, missing_attribute, place_of
 from pytest_twin.realization.node import Node
 
 _VIRTUAL_TYPES = ("fixed", "floating", "planar")
@@ -27,7 +27,7 @@ def check(srdf: Srdf) -> Iterator[Finding]:
         yield from srdf.unknown(node, "joint_name", "joint")
         for attribute in ("property_name", "value"):
             if not node.attributes.get(attribute, "").strip():
-                yield missing(node, attribute, "a property and its value")
+                yield missing_attribute(node, attribute, "a property and its value")
 
 
 def _robot_name(srdf: Srdf) -> Iterator[Finding]:
@@ -55,7 +55,7 @@ def _twice(srdf: Srdf) -> Iterator[Finding]:
             keys = ("group", "name") if tag == "group_state" else ("name",)
             key = tuple(node.attributes.get(word, "") for word in keys)
             if not key[-1].strip():
-                yield missing(node, "name", "a name")
+                yield missing_attribute(node, "name", "a name")
             elif key in first:
                 yield Finding(
                     "planning.same_name",
@@ -84,7 +84,7 @@ def _group(srdf: Srdf, group: Node) -> Iterator[Finding]:
     for node in group.all("group"):
         members += 1
         yield from srdf.unknown(node, "name", "group")
-        yield from _circular(srdf, group, node)
+        yield from _circular_group(srdf, group, node)
     for node in group.all("chain"):
         members += 1
         yield from _chain(srdf, group, node)
@@ -103,7 +103,7 @@ def _group(srdf: Srdf, group: Node) -> Iterator[Finding]:
         )
 
 
-def _circular(srdf: Srdf, group: Node, part: Node) -> Iterator[Finding]:
+def _circular_group(srdf: Srdf, group: Node, part: Node) -> Iterator[Finding]:
     name, inner = group.attributes.get("name", ""), part.attributes.get("name", "")
     if inner in srdf.groups and name in srdf.with_subgroups(inner):
         yield Finding(
@@ -205,7 +205,7 @@ def _virtual_joint(srdf: Srdf, node: Node) -> Iterator[Finding]:
             "state the root link as child_link",
         )
     if not node.attributes.get("parent_frame", "").strip():
-        yield missing(
+        yield missing_attribute(
             node, "parent_frame", "the frame in which the robot is placed, such as 'world'"
         )
     elif node.attributes["parent_frame"] in srdf.links and srdf.links:

@@ -18,7 +18,7 @@ from pytest_twin.audit.srdf.files import urdf_of
 from pytest_twin.errors import ModelError
 from pytest_twin.realization import urdf
 from pytest_twin.realization.files.search import SearchFolders
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
 
 def audit_srdf(
@@ -38,7 +38,7 @@ def audit_srdf(
     """
     say = progress or (lambda fraction: None)
     source = Path(path)
-    with quiet():
+    with suppress_mujoco_warnings():
         root = urdf.document(source)
         if root.all("link"):
             raise root.error("a URDF, not an SRDF", expected="an SRDF: a <robot> without <link>")
@@ -51,7 +51,7 @@ def audit_srdf(
         srdf = Srdf(root, asset)
         geometry = Geometry(asset)
         found = check(srdf)
-        results, more = collisions.measured(srdf, geometry)
+        results, more = collisions.measure_distances(srdf, geometry)
     say(0.8)
     report = _report(srdf, [*found, *more])
     report["poses"] = self_collision.to_json(results)

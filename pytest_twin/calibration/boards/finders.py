@@ -10,7 +10,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.homography import fit_homography, project
 from pytest_twin.calibration.boards.image_file import Grey
 from pytest_twin.calibration.boards.missing_corners import (
-    refined_corners,
+    refine_corners,
     refinement_window,
     square_contrast,
     with_missing_corners,
@@ -85,11 +85,11 @@ def _find_chessboard(image: Grey, target: Target) -> Found:
         return _none()
     grid = pixels.reshape(shape[1], shape[0], 2).astype(np.float64)
     edges = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
-    refined = refined_corners(image, grid.reshape(-1, 2), refinement_window(min(edges)))
-    return _turned(image, target, refined)
+    refined = refine_corners(image, grid.reshape(-1, 2), refinement_window(min(edges)))
+    return _turn_board(image, target, refined)
 
 
-def _turned(image: Grey, target: Target, pixels: FloatArray) -> Found:
+def _turn_board(image: Grey, target: Target, pixels: FloatArray) -> Found:
     """Order the corners so that the first square is dark and x points to the right of the image."""
     columns, rows = target.squares[0] - 1, target.squares[1] - 1
     grid = pixels.reshape(rows, columns, 2)
@@ -127,10 +127,10 @@ def _find_apriltag_grid(image: Grey, target: Target) -> Found:
     tags = ids[mine]
     if len(set(tags // target.squares[0])) < 2 or len(set(tags % target.squares[0])) < 2:
         return _none("tags of one row or one column found: how they are arranged cannot be seen")
-    return _arranged(target, tags, quads)
+    return _arrange_tags(target, tags, quads)
 
 
-def _arranged(target: Target, tags: np.ndarray, quads: FloatArray) -> Found:
+def _arrange_tags(target: Target, tags: np.ndarray, quads: FloatArray) -> Found:
     """Order the corners of tags as the target does.
 
     A tag's corners are found clockwise on the page, from the corner that its dictionary calls the

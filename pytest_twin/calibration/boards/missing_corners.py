@@ -58,7 +58,7 @@ def with_missing_corners(
     if not inside.any():
         return ids, pixels
     missing, guess, edge = missing[inside], guess[inside], edge[inside]
-    refined = refined_corners(image, guess, refinement_window(float(edge.min())))
+    refined = refine_corners(image, guess, refinement_window(float(edge.min())))
     steady = np.linalg.norm(refined - guess, axis=1) < _FARTHEST * edge
     usual = float(np.median(square_contrast(image, homography, target, ids)))
     there = np.sign(usual) * square_contrast(image, homography, target, missing)
@@ -74,7 +74,7 @@ def refinement_window(edge_px: float) -> int:
     return int(np.clip(_WINDOW * edge_px, _LEAST_WINDOW_PX, _MOST_WINDOW_PX))
 
 
-def refined_corners(image: Grey, pixels: FloatArray, window: int) -> FloatArray:
+def refine_corners(image: Grey, pixels: FloatArray, window: int) -> FloatArray:
     """(n, 2) corners refined to the intersection of the edges around them, px.
 
     Args:

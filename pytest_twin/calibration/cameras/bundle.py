@@ -23,8 +23,8 @@ from pytest_twin.calibration.cameras.normal_equations import (
     Model,
     Noise,
     Unknowns,
-    linearized,
-    moved,
+    apply_step,
+    linearize,
     noise_of,
 )
 from pytest_twin.calibration.cameras.reprojection import corners_of
@@ -136,7 +136,7 @@ def bundle(
         start = replace(start, arm=np.zeros(arm.count))
     unknowns, sizes = start, Noise() if noise is None else noise.value
     for _ in range(_ROUNDS):
-        unknowns = _minimized(model, unknowns, sizes)
+        unknowns = _minimize(model, unknowns, sizes)
         if noise is not None and noise.is_exact:
             break
         new = noise_of(model, unknowns, sizes)
@@ -144,7 +144,7 @@ def bundle(
         sizes = new
         if change < _ROUND_SETTLED:
             break
-    equations = linearized(model, unknowns, sizes)
+    equations = linearize(model, unknowns, sizes)
     kept = np.r_[model.transforms, model.own, model.intrinsics]
     covariance = np.linalg.inv(equations.schur)[np.ix_(kept, kept)]
     return Bundle(
@@ -173,13 +173,13 @@ def _degrees(model: Model) -> float:
     return float(max(corners, 1))
 
 
-def _minimized(model: Model, unknowns: Unknowns, noise: Noise) -> Unknowns:
+def _minimize(model: Model, unknowns: Unknowns, noise: Noise) -> Unknowns:
     """Return the unknowns at the nearest local minimum of the cost (Levenberg-Marquardt)."""
-    equations: Equations = linearized(model, unknowns, noise)
+    equations: Equations = linearize(model, unknowns, noise)
     damping = 1e-6
     for _ in range(_STEPS):
-        tried = moved(model, unknowns, *equations.step(damping))
-        new = linearized(model, tried, noise)
+        tried = apply_step(model, unknowns, *equations.step(damping))
+        new = linearize(model, tried, noise)
         if not np.isfinite(new.cost) or new.cost > equations.cost:
             damping *= 10.0
             if damping > 1e8:

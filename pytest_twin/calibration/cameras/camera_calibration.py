@@ -77,7 +77,7 @@ def calibrate_camera(
     least = np.inf
     for free in MODELS:
         try:
-            found = fixed_or_free(detections, board, Intrinsics(vector), free, before)
+            found = fit_images(detections, board, Intrinsics(vector), free, before)
         except (np.linalg.LinAlgError, ValueError, FloatingPointError):
             continue
         before = found
@@ -98,7 +98,7 @@ def calibrate_camera(
     return camera_of(best)
 
 
-def fixed_or_free(
+def fit_images(
     detections: Sequence[Detection],
     board: FloatArray,
     intrinsics: Intrinsics,

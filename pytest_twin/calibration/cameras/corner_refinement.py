@@ -20,7 +20,7 @@ from pytest_twin.calibration.records import Estimate
 from pytest_twin.calibration.terms import PoseTerm
 
 
-def refined(
+def refine_on_corners(
     found: Estimate, images: Images, camera: Camera
 ) -> tuple[Estimate, Camera, Bundle] | None:
     """Return estimate, camera and bundle, fitted to the corners in the images instead of to poses.

@@ -11,13 +11,13 @@ from scipy.stats import t as student
 
 from pytest_twin import __version__
 from pytest_twin.calibration.cameras.bundle import Bundle
-from pytest_twin.calibration.cameras.corner_refinement import intrinsics_record, refined
+from pytest_twin.calibration.cameras.corner_refinement import intrinsics_record, refine_on_corners
 from pytest_twin.calibration.cameras.images import Images
-from pytest_twin.calibration.coincident_markers import LeftOut
+from pytest_twin.calibration.coincident_markers import ExcludedMeasurement
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.records import Estimate
-from pytest_twin.calibration.residual_errors import accepted
+from pytest_twin.calibration.residual_errors import acceptance_failures
 from pytest_twin.calibration.split import split
 
 MOST_FOCAL_SPREAD = 0.02
@@ -57,7 +57,7 @@ class ImageRefinement:
 
     def refine(self, found: Estimate) -> bool:
         """Refine an estimate on poses with the corners in images; False if that is impossible."""
-        better = refined(found, self._images, self.camera)
+        better = refine_on_corners(found, self._images, self.camera)
         if better is None:
             return False
         self._estimate, self.camera, self.bundle = better
@@ -77,7 +77,7 @@ class ImageRefinement:
 
 
 def calibrate_intrinsics(
-    plan: Plan, observations: Observations, images: Images, rejected: Sequence[LeftOut]
+    plan: Plan, observations: Observations, images: Images, rejected: Sequence[ExcludedMeasurement]
 ) -> dict[str, Any]:
     """Return the content of ``calibration.json`` for a plan that asks for the intrinsics only.
 
@@ -105,7 +105,7 @@ def calibrate_intrinsics(
     _add_errors(document, images, seen, [observations.ids[row] for row in fitted], held)
     document["unobservable"] = _add_intrinsics(document, seen, quantile)
     if not document["unobservable"]:
-        reasons = accepted(document["held_out"], asdict(plan.accept))
+        reasons = acceptance_failures(document["held_out"], asdict(plan.accept))
         document["verdict"] = "rejected" if reasons else "accepted"
         document["reasons"] = reasons
     else:

@@ -18,12 +18,12 @@ from pytest_twin.calibration.cameras.camera_calibration import (
     Camera,
     calibrate_camera,
     camera_of,
-    fixed_or_free,
+    fit_images,
 )
 from pytest_twin.calibration.cameras.intrinsics import Intrinsics, make_intrinsics
 from pytest_twin.calibration.cameras.pose import AMBIGUOUS, TargetPose, target_pose
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
-from pytest_twin.calibration.coincident_markers import LeftOut
+from pytest_twin.calibration.coincident_markers import ExcludedMeasurement
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.errors import TwinError
@@ -69,7 +69,7 @@ class Images:
         if self.is_estimated or self.given is None:
             return calibrate_camera(found, board, self.given)
         try:
-            return camera_of(fixed_or_free(found, board, self.given, ()))
+            return camera_of(fit_images(found, board, self.given, ()))
         except (ValueError, np.linalg.LinAlgError):
             return Camera(self.given, board, (), np.zeros((0, 0)), 0.3, 0.0)
 
@@ -79,7 +79,7 @@ class Images:
             return ""
         found = [self.detections[one] for one in ids if one in self.detections]
         try:
-            better = fixed_or_free(found, self.target.board_points(), self.given, MODELS[3])
+            better = fit_images(found, self.target.board_points(), self.given, MODELS[3])
         except (ValueError, np.linalg.LinAlgError):
             return ""
         if camera.pixel_noise < MISFIT_RATIO * better.noise.pixel:
@@ -156,7 +156,7 @@ class Images:
 
 def read_images(
     plan: Plan, observations: Observations, folder: Path | None = None
-) -> tuple[Observations, Images | None, tuple[LeftOut, ...]]:
+) -> tuple[Observations, Images | None, tuple[ExcludedMeasurement, ...]]:
     """Detect the target in the images of the observations; None if the plan has no images.
 
     Images are read from the plan's folder, or from ``folder`` for images extracted from recordings.
@@ -206,10 +206,10 @@ def read_images(
             "squares and dictionary that target states; the first reason is that of "
             f"{rejected[0].image}",
         )
-    other = _measured(observations)
+    other = _differs_from_image(observations)
     without = {one.image for one in rejected}
     keep = [i for i, name in enumerate(observations.ids) if name not in without or other[i]]
-    left_out = tuple(LeftOut(one.image, one.rejected) for one in rejected)
+    left_out = tuple(ExcludedMeasurement(one.image, one.rejected) for one in rejected)
     files = dict(zip(observations.ids, observations.images, strict=True))
     there = tuple(path for path in paths if path.is_file())
     images = Images(target, usable, rejected, files, given, estimated, there)
@@ -233,7 +233,7 @@ def _paths(plan: Plan, observations: Observations, folder: Path | None) -> list[
     return found
 
 
-def _measured(observations: Observations) -> FloatArray:
+def _differs_from_image(observations: Observations) -> FloatArray:
     """(rows,) True where a row has another measurement than its image."""
     found = np.zeros(len(observations), dtype=bool)
     if observations.camera_from_target is not None:

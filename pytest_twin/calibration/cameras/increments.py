@@ -31,7 +31,7 @@ def inverse(transforms: FloatArray) -> FloatArray:
     return found
 
 
-def changed(transforms: FloatArray, steps: FloatArray) -> FloatArray:
+def apply_change(transforms: FloatArray, steps: FloatArray) -> FloatArray:
     """(..., 4, 4) transforms after changes of (..., 6)."""
     found = transforms.copy()
     turns = Rotation.from_rotvec(steps[..., 3:].reshape(-1, 3)).as_matrix()

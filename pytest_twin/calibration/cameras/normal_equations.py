@@ -14,8 +14,8 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.arm import Arm
 from pytest_twin.calibration.cameras.increments import (
+    apply_change,
     by_measured,
-    changed,
     difference,
     inverse,
     jacobian_by_first,
@@ -193,7 +193,7 @@ class Equations:
         return np.asarray(move, dtype=np.float64), np.asarray(poses, dtype=np.float64)
 
 
-def linearized(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
+def linearize(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
     """Return the weighted normal equations at given values of the unknowns."""
     corners = replace(model.corners, points=unknowns.board[model.corners.ids])
     pixels, by_pose, by_intrinsics = reprojection_residuals(
@@ -232,7 +232,7 @@ def linearized(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
     block = np.add.reduceat(back @ ap, starts)
     pose_right = np.add.reduceat((back @ ep[..., None])[..., 0], starts)
     coupling = np.add.reduceat(np.swapaxes(ag, 1, 2) @ ap, starts)
-    full = _squared(ag) + _squared(rg)
+    full = _normal_matrix(ag) + _normal_matrix(rg)
     right = np.einsum("mcg,mc->g", ag, ep) + np.einsum("mcg,mc->g", rg, er)
     if len(robot):
         block += np.swapaxes(rp, 1, 2) @ rp
@@ -253,19 +253,19 @@ def linearized(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
     )  # fmt: skip
 
 
-def moved(model: Model, at: Unknowns, move: FloatArray, poses: FloatArray) -> Unknowns:
+def apply_step(model: Model, at: Unknowns, move: FloatArray, poses: FloatArray) -> Unknowns:
     """Return the unknowns after a step of the globals and of the target's poses."""
     intrinsics = at.intrinsics.copy()
     intrinsics[model.free] += move[model.intrinsics]
     found = replace(
-        at, intrinsics=intrinsics, camera_from_target=changed(at.camera_from_target, poses)
+        at, intrinsics=intrinsics, camera_from_target=apply_change(at.camera_from_target, poses)
     )
     if len(model.transforms):
         turns = move[model.transforms]
         found = replace(
             found,
-            hand_eye=changed(at.hand_eye, turns[:6]),
-            robot_world=changed(at.robot_world, turns[6:]),
+            hand_eye=apply_change(at.hand_eye, turns[:6]),
+            robot_world=apply_change(at.robot_world, turns[6:]),
         )
     if len(model.own):
         found = replace(found, arm=at.arm + move[model.own])
@@ -276,7 +276,7 @@ def moved(model: Model, at: Unknowns, move: FloatArray, poses: FloatArray) -> Un
 
 def noise_of(model: Model, unknowns: Unknowns, noise: Noise) -> Noise:
     """Estimate the noise of each kind of residual from its squares and its redundancy."""
-    equations = linearized(model, unknowns, noise)
+    equations = linearize(model, unknowns, noise)
     covariance = np.linalg.inv(equations.schur)
     inner = np.linalg.inv(equations.pose_block)
     # Covariance between the globals and each pose, and of each pose.
@@ -317,7 +317,7 @@ def noise_of(model: Model, unknowns: Unknowns, noise: Noise) -> Noise:
     return found
 
 
-def _squared(slopes: FloatArray) -> FloatArray:
+def _normal_matrix(slopes: FloatArray) -> FloatArray:
     rows = slopes.reshape(-1, slopes.shape[2])
     return np.asarray(rows.T @ rows, dtype=np.float64)
 

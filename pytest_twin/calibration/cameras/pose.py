@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.detection import Detection
 from pytest_twin.calibration.boards.opencv import opencv
-from pytest_twin.calibration.cameras.increments import changed
+from pytest_twin.calibration.cameras.increments import apply_change
 from pytest_twin.calibration.cameras.intrinsics import Intrinsics
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
 
@@ -64,7 +64,7 @@ def target_pose(detection: Detection, intrinsics: Intrinsics) -> TargetPose | No
         pose[:3, :3] = Rotation.from_rotvec(turn.ravel()).as_matrix()
         pose[:3, 3] = shift.ravel()
         if np.isfinite(pose).all() and pose[2, 3] > 0.0:
-            refined = refined_pose(detection, intrinsics, pose)
+            refined = refine_pose(detection, intrinsics, pose)
             if refined is not None:
                 found.append(refined)
     if not found:
@@ -77,7 +77,7 @@ def target_pose(detection: Detection, intrinsics: Intrinsics) -> TargetPose | No
     return TargetPose(best.camera_from_target, best.information, best.rms, ratio)
 
 
-def refined_pose(
+def refine_pose(
     detection: Detection, intrinsics: Intrinsics, start: FloatArray
 ) -> TargetPose | None:
     """Return the pose of least reprojection error near ``start``; None if the search fails."""
@@ -93,7 +93,7 @@ def refined_pose(
             step = -np.asarray(np.linalg.solve(damped, rows.T @ residual.ravel()), dtype=float)
         except np.linalg.LinAlgError:
             return None
-        tried = changed(pose, step[None])
+        tried = apply_change(pose, step[None])
         new, new_by_pose, _ = reprojection_residuals(intrinsics.vector, tried, corners)
         new_cost = float(np.sum(new**2))
         if not np.isfinite(new_cost) or new_cost > cost:

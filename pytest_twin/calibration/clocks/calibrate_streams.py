@@ -14,7 +14,7 @@ from pytest_twin.calibration.cameras.increments import inverse
 from pytest_twin.calibration.clocks.correlation import (
     LEAST_CORRELATION,
     MOST_RIVAL,
-    Correlated,
+    SpeedCorrelation,
     correlate_speeds,
 )
 from pytest_twin.calibration.clocks.figures import angular_speeds, scene_of_streams
@@ -31,7 +31,7 @@ from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, describe_pose, records_of
 from pytest_twin.calibration.records import inverse_with_covariance
-from pytest_twin.calibration.residual_errors import accepted, regions_of
+from pytest_twin.calibration.residual_errors import acceptance_failures, regions_of
 from pytest_twin.calibration.residual_patterns import pattern_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
 from pytest_twin.metrics.pose import quaternion_of
@@ -121,7 +121,7 @@ def streams_of(plan: Plan) -> tuple[PoseStream, PoseStream]:
     return replace(hand, is_inverted=plan.mount == "world"), camera
 
 
-def _unclear(found: Correlated) -> str:
+def _unclear(found: SpeedCorrelation) -> str:
     """Reason why the angular speeds do not determine an offset; empty if they do."""
     if found.correlation < 0.0:
         return (
@@ -156,7 +156,7 @@ def _solve(
     plan: Plan,
     hand: PoseStream,
     camera: PoseStream,
-    found: Correlated,
+    found: SpeedCorrelation,
     middle: float,
     parts: tuple[np.ndarray, np.ndarray],
 ) -> None:
@@ -185,9 +185,9 @@ def _solve(
         )
     if drift["value"] is None:
         document["notes"].append(drift["why"])
-    document["unobservable"] = _undetermined(plan, fit)
+    document["unobservable"] = _undetermined_quantities(plan, fit)
     document["records"] = _records(plan, fit, drift, found)
-    document["covariance"] = _together(plan, fit)
+    document["covariance"] = _joint_covariance(plan, fit)
     document["fitted"] = _summary(fit.translation, fit.rotation)
     if len(held_out):
         errors = errors_at(hand, theirs, seen[held_out], fit, middle)
@@ -209,7 +209,7 @@ def _solve(
     document["suspected"] = [one.to_json() for one in suspected]
     document["reasons"] = [
         *(f"{one.what}; {one.mend}" for one in suspected),
-        *accepted(document["held_out"], asdict(plan.accept)),
+        *acceptance_failures(document["held_out"], asdict(plan.accept)),
     ]
     document["verdict"] = "rejected" if document["reasons"] else "accepted"
 
@@ -246,7 +246,7 @@ def seen_in(camera: PoseStream, *, inverted: bool) -> FloatArray:
     return camera.poses if inverted else inverse(camera.poses)
 
 
-def _around(plan: Plan, fit: ClockFit) -> dict[str, tuple[slice, FloatArray]]:
+def _adjacent_poses(plan: Plan, fit: ClockFit) -> dict[str, tuple[slice, FloatArray]]:
     """Slice in the covariance and (4, 4) pose of what the flange carries, and of the world.
 
     The fit of a fixed camera uses the inverted flange poses.
@@ -256,14 +256,14 @@ def _around(plan: Plan, fit: ClockFit) -> dict[str, tuple[slice, FloatArray]]:
     return {"mounted": mounted, "world": standing}
 
 
-def _undetermined(plan: Plan, fit: ClockFit) -> list[str]:
+def _undetermined_quantities(plan: Plan, fit: ClockFit) -> list[str]:
     found = []
     if not fit.interval(0) < MOST_OFFSET_SPREAD_S:
         found.append(
             f"the time offset: its 95 % interval is {1e3 * fit.interval(0):.0f} ms to either side; "
             "move the hand faster"
         )
-    for role, (place, _) in _around(plan, fit).items():
+    for role, (place, _) in _adjacent_poses(plan, fit).items():
         values, axes = np.linalg.eigh(fit.covariance[place, place][:3, :3])
         if not np.sqrt(max(values[-1], 0.0)) < MOST_POSITION_SPREAD_M:
             axis = ", ".join(f"{v:.2f}" for v in axes[:, -1])
@@ -305,7 +305,9 @@ def _drift(drifting: ClockFit, fit: ClockFit, camera: PoseStream) -> dict[str, A
     }
 
 
-def _records(plan: Plan, fit: ClockFit, drift: dict[str, Any], found: Correlated) -> dict[str, Any]:
+def _records(
+    plan: Plan, fit: ClockFit, drift: dict[str, Any], found: SpeedCorrelation
+) -> dict[str, Any]:
     width = fit.interval(0)
     records: dict[str, Any] = {
         "time_offset": {
@@ -322,16 +324,16 @@ def _records(plan: Plan, fit: ClockFit, drift: dict[str, Any], found: Correlated
     flange = plan.flange or "hand"
     carried, standing = ("camera", "target") if plan.mount == "hand" else ("target", "camera")
     frames = {"mounted": (flange, carried), "world": ("base", standing)}
-    for role, (place, pose) in _around(plan, fit).items():
+    for role, (place, pose) in _adjacent_poses(plan, fit).items():
         names = [n for n in records_of(role, "camera", plan.mount) if n in plan.estimate]
         for name in names or [frames[role][1]]:
             records[name] = _pose(name, fit, place, pose, frames[role], asked=bool(names))
     return records
 
 
-def _together(plan: Plan, fit: ClockFit) -> dict[str, Any]:
+def _joint_covariance(plan: Plan, fit: ClockFit) -> dict[str, Any]:
     """Joint covariance of the offset and both poses, with rotations about the child's axes."""
-    around = _around(plan, fit)
+    around = _adjacent_poses(plan, fit)
     kept = [0, *(at for place, _ in around.values() for at in range(place.start, place.stop))]
     turn = np.eye(len(kept))
     turn[1:7, 1:7], turn[7:, 7:] = (_about_child(pose) for _, pose in around.values())

@@ -29,7 +29,7 @@ _MOST_SAMPLES = 2_000_000
 
 
 @dataclass(frozen=True)
-class Correlated:
+class SpeedCorrelation:
     """Result of the cross-correlation of angular speeds.
 
     Attributes:
@@ -43,7 +43,7 @@ class Correlated:
     rival: float
 
 
-def correlate_speeds(hand: PoseStream, camera: PoseStream) -> Correlated:
+def correlate_speeds(hand: PoseStream, camera: PoseStream) -> SpeedCorrelation:
     """Return the offset with the largest correlation of the angular speeds.
 
     The angular speed of a rigid body is the same at each point and in each frame, so no hand-eye
@@ -54,7 +54,7 @@ def correlate_speeds(hand: PoseStream, camera: PoseStream) -> Correlated:
     mine, theirs = _speed(hand, step), _speed(camera, step)
     found = best_lag(mine, theirs, 2.0 * _WINDOW_S / step)
     offset = found.steps * step + hand.time[0] - camera.time[0]
-    return Correlated(float(offset), found.correlation, found.rival)
+    return SpeedCorrelation(float(offset), found.correlation, found.rival)
 
 
 def _speed(stream: PoseStream, step: float) -> FloatArray:

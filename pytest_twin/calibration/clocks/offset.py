@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.increments import (
-    changed,
+    apply_change,
     difference,
     inverse,
     jacobian_by_first,
@@ -134,7 +134,7 @@ def fit_clocks(
     )
     sizes = np.array([0.01, 0.01])
     for _ in range(_STEPS):
-        residual, slopes = _linearized(hand, camera, seen, at, middle)
+        residual, slopes = _linearize(hand, camera, seen, at, middle)
         sizes, weight = _weights(residual)
         scale = np.sqrt(weight)[:, None] / np.repeat(sizes, 3)
         rows = (scale[:, :, None] * slopes)[:, :, free]
@@ -143,11 +143,11 @@ def fit_clocks(
         step = np.linalg.lstsq(flat / norm, -(scale * residual).ravel(), rcond=1e-10)[0] / norm
         move = np.zeros(14)
         move[free] = step
-        at = _moved(at, move)
+        at = _apply_step(at, move)
         # Steps below a microsecond, a micrometre and a microradian are negligible.
         if np.abs(move).max() < 1e-7:
             break
-    residual, slopes = _linearized(hand, camera, seen, at, middle)
+    residual, slopes = _linearize(hand, camera, seen, at, middle)
     sizes, weight = _weights(residual)
     scale = np.sqrt(weight)[:, None] / np.repeat(sizes, 3)
     rows = (scale[:, :, None] * slopes)[:, :, free]
@@ -175,7 +175,7 @@ def fit_clocks(
     )
 
 
-def _linearized(
+def _linearize(
     hand: PoseStream, camera: PoseStream, seen: FloatArray, at: ClockFit, middle: float
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 6) residuals and (n, 6, 14) Jacobian of the poses in the hand's time range."""
@@ -219,9 +219,9 @@ def _weights(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     return sizes, np.where(distance > _CUT, _CUT / np.maximum(distance, _CUT), 1.0)
 
 
-def _moved(at: ClockFit, move: FloatArray) -> ClockFit:
+def _apply_step(at: ClockFit, move: FloatArray) -> ClockFit:
     solved = HandEye(
-        changed(at.solved.hand_eye, move[2:8]), changed(at.solved.robot_world, move[8:14])
+        apply_change(at.solved.hand_eye, move[2:8]), apply_change(at.solved.robot_world, move[8:14])
     )
     return replace(
         at, offset=at.offset + float(move[0]), drift=at.drift + float(move[1]), solved=solved

@@ -69,10 +69,13 @@ def mistakes_of_streams(
     else:
         scale = scale_beyond_chance(found)
         suspected = () if scale is None else (scale,)
-    return tuple(replace(one, what=_named(one.what), mend=_named(one.mend)) for one in suspected)
+    return tuple(
+        replace(one, what=_words_of_streams(one.what), mend=_words_of_streams(one.mend))
+        for one in suspected
+    )
 
 
-def _named(words: str) -> str:
+def _words_of_streams(words: str) -> str:
     for of_table, of_streams in _WORDS.items():
         words = words.replace(of_table, of_streams)
     return words

@@ -78,7 +78,7 @@ def read_stream(path: Path) -> PoseStream:
     """
     data = read_bytes(path, limits.OBSERVATIONS.file_bytes)
     if data[:2] == b"\x1f\x8b":
-        data = _unzipped(data, path)
+        data = _decompress(data, path)
     lines = decode_text(data.removeprefix(b"\xef\xbb\xbf"), path).splitlines()
     rows: list[list[float]] = []
     numbers: list[int] = []
@@ -147,7 +147,7 @@ def _stream(values: FloatArray, lines: list[int], path: Path) -> PoseStream:
     return PoseStream(values[:, 0], poses)
 
 
-def _unzipped(data: bytes, path: Path) -> bytes:
+def _decompress(data: bytes, path: Path) -> bytes:
     most = limits.OBSERVATIONS.file_bytes
     try:
         with gzip.open(io.BytesIO(data)) as stream:

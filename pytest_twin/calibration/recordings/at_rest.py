@@ -68,7 +68,7 @@ def rest_and_motion(
     moving: list[MotionInterval] = []
     before: tuple[bool, FloatArray] | None = None
     for row, stamp in enumerate(stamps):
-        reason, place = _at(float(stamp), time, values, still, names, units)
+        reason, place = _positions_at(float(stamp), time, values, still, names, units)
         same = before is not None and (np.abs(place - before[1]) <= still).all()
         if reason:
             if before is None or before[0]:
@@ -83,7 +83,7 @@ def rest_and_motion(
     return found, moving
 
 
-def _at(
+def _positions_at(
     stamp: float,
     time: FloatArray,
     values: FloatArray,
@@ -92,7 +92,7 @@ def _at(
     units: Sequence[str],
 ) -> tuple[str, FloatArray]:
     """Return the reason why a stamp is unusable (else empty), and the robot's positions."""
-    place = interpolated(np.array([stamp]), time, values)[0]
+    place = interpolate(np.array([stamp]), time, values)[0]
     if stamp < time[0] or stamp > time[-1]:
         return "no state of the robot at its stamp", place
     low, high = np.searchsorted(time, [stamp - WINDOW_S, stamp + WINDOW_S])
@@ -115,6 +115,6 @@ def _at(
     ), place
 
 
-def interpolated(stamps: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
+def interpolate(stamps: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
     """(m, k) values at stamps, interpolated linearly; constant beyond the ends."""
     return np.stack([np.interp(stamps, time, column) for column in values.T], axis=1)

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.target import KINDS
 from pytest_twin.calibration.clocks.streams import PoseStream
-from pytest_twin.calibration.coincident_markers import LeftOut
+from pytest_twin.calibration.coincident_markers import ExcludedMeasurement
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.recordings.at_rest import (
     STILL_M,
     STILL_RAD,
-    interpolated,
+    interpolate,
     rest_and_motion,
 )
 from pytest_twin.calibration.recordings.pose_topics import first_stamp, poses_asked, seconds
@@ -34,7 +34,7 @@ _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True)
-class Extracted:
+class ExtractedObservations:
     """Observations from one recording.
 
     Attributes:
@@ -44,7 +44,7 @@ class Extracted:
     """
 
     rows: tuple[Mapping[str, str], ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[ExcludedMeasurement, ...]
     notes: tuple[str, ...]
 
 
@@ -63,7 +63,7 @@ class _Robot:
         """Return the robot's state at a stamp as columns of ``observations.csv``."""
         if self.flange is not None:
             return pose_cells("flange", self.flange.at(np.array([stamp]))[0])
-        values = interpolated(np.array([stamp]), self.time, self.values)[0]
+        values = interpolate(np.array([stamp]), self.time, self.values)[0]
         return {f"joint.{name}": repr(float(v)) for name, v in zip(self.names, values, strict=True)}
 
 
@@ -76,7 +76,7 @@ def pose_cells(prefix: str, pose: FloatArray) -> dict[str, str]:
     }
 
 
-def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
+def extract(plan: Plan, path: Path, folder: Path) -> ExtractedObservations:
     """Return one observation for each time interval in which the robot stood still.
 
     Joint states, or the flange pose, are interpolated at the stamp of the image or target pose.
@@ -110,7 +110,9 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
         stamps[order], robot.time, robot.values, robot.still, robot.names, robot.units
     )
     left_out = [
-        LeftOut(_span(path, order[list(one.rows)]), f"{len(one.rows)} frames: {one.why}")
+        ExcludedMeasurement(
+            _span(path, order[list(one.rows)]), f"{len(one.rows)} frames: {one.why}"
+        )
         for one in moving
     ]
     if not still:
@@ -137,13 +139,13 @@ def extract(plan: Plan, path: Path, folder: Path) -> Extracted:
             row["payload"] = recording.metadata["payload"]
         if seen is None:
             if number not in files:
-                left_out.append(LeftOut(row["id"], "an image that cannot be decoded"))
+                left_out.append(ExcludedMeasurement(row["id"], "an image that cannot be decoded"))
                 continue
             row["image"] = files[number]
         else:
             row |= pose_cells("camera_from_target", seen.poses[number])
         rows.append(row)
-    return Extracted(tuple(rows), tuple(left_out), tuple(notes))
+    return ExtractedObservations(tuple(rows), tuple(left_out), tuple(notes))
 
 
 def write_table(rows: Sequence[Mapping[str, str]], path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.coincident_markers import LeftOut
+from pytest_twin.calibration.coincident_markers import ExcludedMeasurement
 from pytest_twin.calibration.observations import Observations, load_observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.recordings.extract import extract, write_table
@@ -19,7 +19,7 @@ TABLE = "observations.csv"
 
 
 @dataclass(frozen=True)
-class Gathered:
+class GatheredObservations:
     """Observations in the files of a plan.
 
     Attributes:
@@ -29,11 +29,11 @@ class Gathered:
     """
 
     observations: Observations
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[ExcludedMeasurement, ...]
     tables: tuple[Path, ...]
 
 
-def gather(plan: Plan, folder: Path) -> Gathered:
+def gather(plan: Plan, folder: Path) -> GatheredObservations:
     """Read the observations of a plan.
 
     Args:
@@ -44,7 +44,7 @@ def gather(plan: Plan, folder: Path) -> Gathered:
         TwinError: a file cannot be used.
     """
     parts: list[Observations] = []
-    left_out: list[LeftOut] = []
+    left_out: list[ExcludedMeasurement] = []
     tables: list[Path] = []
     for number, path in enumerate(plan.observations):
         notes: tuple[str, ...] = ()
@@ -62,10 +62,10 @@ def gather(plan: Plan, folder: Path) -> Gathered:
             one = replace(one, images=images)
         parts.append(replace(one, notes=(*one.notes, *notes)))
         tables.append(table)
-    return Gathered(joined(parts, tables), tuple(left_out), tuple(tables))
+    return GatheredObservations(concatenate(parts, tables), tuple(left_out), tuple(tables))
 
 
-def joined(parts: Sequence[Observations], tables: Sequence[Path]) -> Observations:
+def concatenate(parts: Sequence[Observations], tables: Sequence[Path]) -> Observations:
     """Concatenate the observations of several tables.
 
     Ids that occur in several tables get the table's number as prefix.

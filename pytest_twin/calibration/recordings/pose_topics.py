@@ -16,7 +16,7 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.ros_serialization import Integers
 from pytest_twin.formats.sensor_bag import SensorCollector
-from pytest_twin.formats.sensor_messages import Stamped
+from pytest_twin.formats.sensor_messages import StampedMessage
 
 TF = ("/tf", "/tf_static")
 
@@ -55,7 +55,7 @@ def poses_asked(
     topics = sorted(set(bag.poses) - set(TF) - set(plan.topics.values()))
     topic = plan.topics.get(what)
     if topic is None and names[0] is not None and names[1] is not None:
-        return TF[0], _between(bag, names[0], names[1], zero)
+        return TF[0], _poses_between(bag, names[0], names[1], zero)
     if topic is None and what == "camera_from_target" and len(topics) == 1:
         topic = topics[0]
     if topic is None or not bag.poses.get(topic):
@@ -69,7 +69,7 @@ def poses_asked(
     return topic, _stream(bag.poses[topic], zero)
 
 
-def _stream(poses: Sequence[Stamped], zero: int) -> PoseStream:
+def _stream(poses: Sequence[StampedMessage], zero: int) -> PoseStream:
     """Return the poses sorted by stamp, without repeated stamps."""
     stamps = np.array([one.stamp for one in poses], dtype=np.int64)
     _, rows = np.unique(stamps, return_index=True)
@@ -80,13 +80,13 @@ def _stream(poses: Sequence[Stamped], zero: int) -> PoseStream:
     return PoseStream(seconds(stamps[rows], zero), found)
 
 
-def _between(bag: SensorCollector, parent: str, child: str, zero: int) -> PoseStream:
+def _poses_between(bag: SensorCollector, parent: str, child: str, zero: int) -> PoseStream:
     """Return the child's poses in the parent at the stamps of the edge with the fewest messages.
 
     The frame of a target is published only when the target is detected; the robot's frames are
     published continuously.
     """
-    edges: dict[tuple[str, str], list[Stamped]] = defaultdict(list)
+    edges: dict[tuple[str, str], list[StampedMessage]] = defaultdict(list)
     fixed: set[tuple[str, str]] = set()
     for topic in TF:
         for one in bag.poses.get(topic, ()):

@@ -18,7 +18,7 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.rigid_body import InertialParameters, Payload
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
-from pytest_twin.realization.mujoco_warnings import quiet
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
 # Finite-difference step of positions (rad or m) and velocities (rad/s or m/s).
 _STEP = 1e-4
@@ -99,7 +99,7 @@ def rigid_terms(
         ]
         increment = np.zeros((len(part), 2, joints)) if increments is None else increments[part]
         shape = (len(part), segments, at_once)
-        with quiet():
+        with suppress_mujoco_warnings():
             of_part = np.tile(np.repeat(rows, at_once), len(part))
             batch = simulator.models.prepare(of_part, values, threads=1).batch
             qpos, qvel = batch.bind("qpos"), batch.bind("qvel")

@@ -11,7 +11,7 @@ from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
 from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
-from pytest_twin.realization.mjcf import compiled
+from pytest_twin.realization.mjcf import compile_spec
 
 
 def effects_outside_mjcf(
@@ -45,7 +45,7 @@ def without_delays(realization: Realization) -> Realization:
         name=realization.name,
         path=realization.path,
         spec=spec,
-        model=compiled(spec)[0],
+        model=compile_spec(spec)[0],
         source=realization.source,
         twin=realization.twin,
     )

@@ -27,7 +27,7 @@ from pytest_twin.effects.base import ModelFields
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.realization import Realization, mjcf_file, patch
 from pytest_twin.realization.inertia import compiled_inertia, six_components
-from pytest_twin.realization.mjcf import compiled
+from pytest_twin.realization.mjcf import compile_spec
 from pytest_twin.twin import Payload
 
 # A delay line holds this many steps beyond the delay itself.
@@ -45,7 +45,7 @@ class NativeWriter:
         # these have to be applied afterwards, so they stay out of the MJCF.
         self.fixed_gains = twin is None or not twin.controllers
         self.fixed_masses = twin is None or not twin.payloads
-        self.model = compiled(spec)[0]
+        self.model = compile_spec(spec)[0]
 
     def take(self, term: Term, values: Mapping[str, float]) -> list[AppliedEffect]:
         """Write an effect into the MJCF; a second entry holds what MJCF cannot express."""
@@ -61,11 +61,11 @@ class NativeWriter:
                 self.spec = before
                 return [outside_mjcf]
             text, rest = written
-            self.model = compiled(self.spec)[0]
+            self.model = compile_spec(self.spec)[0]
         except (TwinError, ValueError, RuntimeError, mujoco.FatalError):
             # MJCF rejects the value, a negative damping for example.
             self.spec = before
-            self.model = compiled(self.spec)[0]
+            self.model = compile_spec(self.spec)[0]
             return [outside_mjcf]
         inside = {k: v for k, v in values.items() if k not in rest}
         out = [AppliedEffect(term.effect, joint, inside, is_in_mjcf=True, written=text)]
@@ -83,7 +83,7 @@ class NativeWriter:
             joint = by_name[name]
             joint.solref_friction[:] = stepped.dof_solref[dof]
             joint.solimp_friction[:] = stepped.dof_solimp[dof]
-        self.model = compiled(self.spec)[0]
+        self.model = compile_spec(self.spec)[0]
 
     def text(self) -> str:
         """The MJCF."""

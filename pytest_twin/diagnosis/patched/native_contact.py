@@ -12,7 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import ModelFields
 from pytest_twin.effects.contact_geoms import ContactGeoms, least_time_constant
-from pytest_twin.realization.mjcf import compiled
+from pytest_twin.realization.mjcf import compile_spec
 
 _MOST_NAMED = 4
 """Largest number of names in a note."""
@@ -35,7 +35,7 @@ def write_contact(
     Returns:
         Description of the changed elements, or None if the spec cannot express the effect.
     """
-    model = compiled(spec)[0]
+    model = compile_spec(spec)[0]
     fields = ModelFields.neutral(np.zeros((1, 3)), 1)
     catalogue()[effect].fields(fields, {k: np.full((1, 1), v) for k, v in values.items()})
     wanted: dict[str, FloatArray] = {}
@@ -58,7 +58,7 @@ def write_contact(
                 _set(elements[i], attribute, target[i])
         if changed:
             said.append(f"{_names(kind, [elements[i] for i in changed])} {attribute}")
-    written = compiled(spec)[0]
+    written = compile_spec(spec)[0]
     if not all(np.allclose(getattr(written, n), rows[0], atol=1e-9) for n, rows in wanted.items()):
         return None
     return " and ".join(said)
@@ -74,12 +74,12 @@ def _move(spec: mujoco.MjSpec, geom: Any, shift: FloatArray) -> None:
     """Move a geom by ``shift``, (3,) m in its body's frame."""
     if geom.frame is not None:
         # MJCF frames have many forms of rotation, so the compiler applies the shift.
-        start = compiled(spec)[0].geom_pos[geom.id]
+        start = compile_spec(spec)[0].geom_pos[geom.id]
         place = np.array(geom.pos, dtype=float), np.array(geom.fromto, dtype=float)
         columns = []
         for axis in np.eye(3):
             _shift(geom, axis)
-            columns.append(compiled(spec)[0].geom_pos[geom.id] - start)
+            columns.append(compile_spec(spec)[0].geom_pos[geom.id] - start)
             geom.pos, geom.fromto = place
         shift = np.linalg.solve(np.stack(columns, axis=1), shift)
     _shift(geom, shift)

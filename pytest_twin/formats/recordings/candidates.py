@@ -43,7 +43,7 @@ def topics_option(state: Topic, command: Topic) -> str:
     return f"--topics state={state.name},command={command.name}"
 
 
-def described(topic: Topic) -> str:
+def describe(topic: Topic) -> str:
     """Describe a topic with its number of messages, type and joints."""
     more = f" and {len(topic.joints) - _JOINTS} more" if len(topic.joints) > _JOINTS else ""
     joints = ", ".join(topic.joints[:_JOINTS]) + more
@@ -65,7 +65,7 @@ def what_to_do(recording: Recording, role: str) -> str:
     if not fits:
         names = ", ".join(topic.name for topic in recording.topics[:_LISTED])
         return f"a topic with joints; it has {names}"
-    text = ("one of " if len(fits) > 1 else "") + "; ".join(map(described, fits[:_LISTED]))
+    text = ("one of " if len(fits) > 1 else "") + "; ".join(map(describe, fits[:_LISTED]))
     options = _options(pairs(recording))
     return f"{text}; to read it: {' or '.join(options)}" if options else text
 

@@ -53,7 +53,7 @@ class Body:
         text = self.text.replace(b"\r\n", b"\n").strip(b"\n")
         if not text.strip():
             raise FormatError("no rows", path=self.path, line=2, expected="rows of numbers")
-        seconds, values = self._parsed(_filled(text))
+        seconds, values = self._parsed(_fill_empty_cells(text))
         if any(np.isinf(one).any() for one in values.values()):
             raise self._first_fault()
         exact = (np.abs(seconds) < _EXACT_SECONDS).all()
@@ -177,7 +177,7 @@ def _is_number(cell: str) -> bool:
         return False
 
 
-def _filled(text: bytes) -> bytes:
+def _fill_empty_cells(text: bytes) -> bytes:
     """Replace empty cells by ``nan``."""
     if b",," in text:
         for _ in range(2):

@@ -128,7 +128,7 @@ class _Dataset:
                     expected=f"[n] with n up to {limits.MCAP.joints_count}",
                 )
         assert isinstance(declared, dict)
-        written = _flat(declared.get("names"))
+        written = _flatten(declared.get("names"))
         if len(written) != count or len(set(written)) != count:
             self.notes.add(
                 column,
@@ -263,11 +263,11 @@ class _Dataset:
         return None
 
 
-def _flat(names: object) -> list[str]:
+def _flatten(names: object) -> list[str]:
     """Return the names of a feature, given as a list, nested lists or lists under headings."""
     if isinstance(names, str):
         return [names]
     parts = names.values() if isinstance(names, dict) else names
     if not isinstance(parts, (list, type({}.values()))):
         return []
-    return [name for part in parts for name in _flat(part)]
+    return [name for part in parts for name in _flatten(part)]

@@ -64,7 +64,7 @@ def unit_of(
         FormatError: the declared unit is neither ``deg`` nor ``rad``.
     """
     if asked is not None:
-        return _named(asked, file, "units")
+        return _unit_named(asked, file, "units")
     for declared in (*features, info):
         unit = declared.get("units", declared.get("unit")) if isinstance(declared, dict) else None
         if isinstance(unit, list) and unit and all(one == unit[0] for one in unit):
@@ -78,7 +78,7 @@ def unit_of(
                 expected="deg or rad, one for all joints",
             )
         if isinstance(unit, str):
-            return _named(unit, file, "units")
+            return _unit_named(unit, file, "units")
     finite = [np.abs(v[np.isfinite(v)]) for v in values.values()]
     largest = max((float(v.max()) for v in finite if v.size), default=0.0)
     change = "if that is wrong, pass --units rad or --units deg"
@@ -98,7 +98,7 @@ def unit_of(
     return DEGREES
 
 
-def _named(unit: str, file: Path, where: str) -> Unit:
+def _unit_named(unit: str, file: Path, where: str) -> Unit:
     name = unit.strip().lower()
     if name in _DEGREES:
         return DEGREES

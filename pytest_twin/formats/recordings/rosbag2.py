@@ -46,7 +46,7 @@ class Rosbag2Folder:
         """Pass all messages of the folder's files to ``collector``."""
         if (path / METADATA).is_file():
             information = _information(path / METADATA)
-            files = _named_files(path, information)
+            files = _listed_files(path, information)
             collector.metadata.update(_custom_data(information))
         else:
             information = {}
@@ -75,7 +75,7 @@ def _information(path: Path) -> Mapping[str, Any]:
     return found
 
 
-def _named_files(folder: Path, information: Mapping[str, Any]) -> list[Path]:
+def _listed_files(folder: Path, information: Mapping[str, Any]) -> list[Path]:
     names = information.get("relative_file_paths")
     metadata = folder / METADATA
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):

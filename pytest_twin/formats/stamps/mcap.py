@@ -100,7 +100,7 @@ class McapStamp:
         with open_regular(self.path) as stream, open_replacement(self.path) as target:
             layout = self._layout(stream)
             crc = 0
-            for start, end in _between(layout.stamps, layout.data_end):
+            for start, end in _kept_ranges(layout.stamps, layout.data_end):
                 crc = _copy(stream, target, start, end, crc)
             place = target.tell()
             record = _metadata_record(text)
@@ -117,7 +117,7 @@ class McapStamp:
         hashed = hashlib.sha256()
         with open_regular(self.path) as stream:
             layout = self._layout(stream)
-            for start, end in _between(layout.stamps, layout.data_end):
+            for start, end in _kept_ranges(layout.stamps, layout.data_end):
                 stream.seek(start)
                 for block in _blocks(stream, end - start):
                     hashed.update(block)
@@ -211,7 +211,7 @@ class McapStamp:
             raise self._damaged(f"a metadata record at byte {record.start}") from None
 
 
-def _between(left_out: Sequence[_Record], end: int) -> Iterator[tuple[int, int]]:
+def _kept_ranges(left_out: Sequence[_Record], end: int) -> Iterator[tuple[int, int]]:
     """Yield the byte ranges from the file's start to ``end``, without the records ``left_out``."""
     start = 0
     for record in left_out:
@@ -256,7 +256,7 @@ def _rest(layout: _Layout, start: int, place: int, length: int) -> bytes:
     """Serialize index, offsets, footer and magic, for an index that begins at ``start``."""
     from mcap.records import MetadataIndex
 
-    records = list(_moved(layout)) if layout.summary else []
+    records = list(_adjust_index(layout)) if layout.summary else []
     if records:
         index = _bytes_of(MetadataIndex(offset=place, length=length, name=NAME))
         at = max((i for i, (op, _) in enumerate(records) if op == METADATA_INDEX), default=-1)
@@ -281,7 +281,7 @@ def _rest(layout: _Layout, start: int, place: int, length: int) -> bytes:
     return bytes(body) + footer + struct.pack("<I", crc) + MAGIC
 
 
-def _moved(layout: _Layout) -> Iterator[tuple[int, bytes]]:
+def _adjust_index(layout: _Layout) -> Iterator[tuple[int, bytes]]:
     """Yield the index records, adjusted to data without earlier stamps and with one new record."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex, Statistics

@@ -90,7 +90,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
         },
         "fitted": {body: _errors(fit.fitted, fit.nominal, size)},
         "physical": {"consistent": True, "violations": []},
-        "unobservable": [*_undetermined(fit, body), *_without_effect(fit, body)],
+        "unobservable": [*_undetermined_entries(fit, body), *_without_effect(fit, body)],
         "contact": {
             "pair": {
                 "object": [_name(model, geom) for geom in fit.contact.body.geoms],
@@ -113,7 +113,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
             ],
         },
         "fit": _model_changes(fit, realization),
-        "correlated": _correlated(names, fit.covariance),
+        "correlated": _correlated_pairs(names, fit.covariance),
         "suspected": [],
         "without_effort": [],
         "notes": [],
@@ -185,7 +185,7 @@ def _errors(errors: TossErrors, nominal: TossErrors | None, size: float) -> dict
     return found
 
 
-def _undetermined(fit: ContactFit, body: str) -> list[dict[str, str]]:
+def _undetermined_entries(fit: ContactFit, body: str) -> list[dict[str, str]]:
     found = []
     for one in fit.undetermined:
         leading = sorted(one.loadings.items(), key=lambda pair: -abs(pair[1]))
@@ -222,7 +222,7 @@ def _name(model: mujoco.MjModel, geom: int) -> str:
     return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or ""
 
 
-def _correlated(names: list[str], covariance: Any) -> list[dict[str, Any]]:
+def _correlated_pairs(names: list[str], covariance: Any) -> list[dict[str, Any]]:
     deviation = np.sqrt(np.diag(covariance).clip(1e-300))
     matrix = covariance / np.outer(deviation, deviation)
     return [

@@ -145,7 +145,7 @@ def fit_contact(
         RecordingError: no toss contains a contact.
     """
     gravity = np.array(contact.model.opt.gravity)
-    stretches, groups = _drawn(around_contacts(fit, gravity, SAMPLES, contact.size), fit)
+    stretches, groups = _draw_segments(around_contacts(fit, gravity, SAMPLES, contact.size), fit)
     loss = Loss(contact, stretches)
     found, rivals = _minima(contact, loss, groups, lambda f: progress(0.45 * f))
     contact, spinning = _with_spinning(contact, found, stretches, groups)
@@ -165,11 +165,11 @@ def fit_contact(
         free.remove(gone)
     known = bootstrap_minimum(around, free, equivalent)
     while known.undetermined and len(free) > 1:
-        removed, combination = _fixed(contact, around.centre, free, known)
+        removed, combination = _fix_undetermined(contact, around.centre, free, known)
         undetermined.append(combination)
         free.remove(removed)
         partner = max(free, key=lambda at: abs(combination.loadings[contact.names[at]]))
-        equivalent.append(_compensated(loss, found, removed, partner, groups))
+        equivalent.append(_compensate(loss, found, removed, partner, groups))
         known = bootstrap_minimum(around, free, equivalent)
     progress(0.6)
     places = around.centre.copy()
@@ -177,7 +177,7 @@ def fit_contact(
     values = contact.values(places)
     rest = contact.without([one.fixed for one in undetermined], values)
     rows = [whole_toss(one) for one in fit]
-    places, covariance, refined = _refined(rest, places[free], known.covariance, rows)
+    places, covariance, refined = _refine(rest, places[free], known.covariance, rows)
     values = {**values, **rest.values(places)}
     progress(0.75)
     held = [whole_toss(one) for one in held_out]
@@ -197,7 +197,7 @@ def fit_contact(
     )  # fmt: skip
 
 
-def _drawn(
+def _draw_segments(
     each: Sequence[Sequence[Stretch]], fit: Sequence[Toss]
 ) -> tuple[list[Stretch], list[int]]:
     """Draw segments from all tosses; return them with the index of their toss."""
@@ -285,7 +285,7 @@ def _without_influence(loss: Loss, found: FloatArray, groups: Sequence[int]) -> 
     return inert
 
 
-def _fixed(
+def _fix_undetermined(
     contact: ContactModel, centre: FloatArray, free: Sequence[int], known: BootstrapMinimum
 ) -> tuple[int, UndeterminedCombination]:
     """Choose and fix the parameter that represents an undetermined combination."""
@@ -301,7 +301,7 @@ def _fixed(
     return removed, UndeterminedCombination(loadings, contact.names[removed], value)
 
 
-def _compensated(
+def _compensate(
     loss: Loss, found: FloatArray, removed: int, partner: int, groups: Sequence[int]
 ) -> list[FloatArray]:
     """Return positions with other values of a fixed parameter that predict the tosses as well.
@@ -340,7 +340,7 @@ def _compensated(
     return out
 
 
-def _refined(
+def _refine(
     contact: ContactModel, places: FloatArray, covariance: FloatArray, rows: Sequence[Stretch]
 ) -> tuple[FloatArray, FloatArray, bool]:
     """Refine the estimate on whole tosses; keep the result if it predicts significantly better."""

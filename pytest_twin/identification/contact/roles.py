@@ -120,14 +120,14 @@ def read_by_role(
         known = units.length, None if units.period is None else 1.0 / units.period
         tested, _ = in_model_units(testing, gravity, *known, lag=units.lag)
     return TossSet(
-        tuple(_pushed(fit, fitting, body, centre)),
-        tuple(_pushed(tested, testing, body, centre)),
+        tuple(_with_wrenches(fit, fitting, body, centre)),
+        tuple(_with_wrenches(tested, testing, body, centre)),
         units,
         (*notes, *units.notes),
     )
 
 
-def _pushed(
+def _with_wrenches(
     tosses: Sequence[Toss], tracks: Sequence[PoseTrack], body: FreeBody, centre: FloatArray
 ) -> list[Toss]:
     """Return the tosses with their external wrenches."""

@@ -103,7 +103,7 @@ def in_model_units(
                 f"sample rate {1.0 / period:.4g} Hz, found from displacements and velocities; "
                 "--rate states another"
             )
-        tracks = [track if track.has_times else _timed(track, period) for track in tracks]
+        tracks = [track if track.has_times else _with_times(track, period) for track in tracks]
     down = float(np.linalg.norm(gravity))
     unit = 1.0 if length is None else length
     fall = _fall(tracks, gravity) if unitless and down > 0.0 else down
@@ -124,7 +124,7 @@ def in_model_units(
     return tosses, Units(unit, period, lag, tuple(notes))
 
 
-def _timed(track: PoseTrack, period: float) -> PoseTrack:
+def _with_times(track: PoseTrack, period: float) -> PoseTrack:
     return replace(track, time=track.time * period, has_times=True)
 
 
@@ -201,7 +201,7 @@ def _toss(track: PoseTrack, unit: float, forward: FloatArray) -> Toss:
     position = track.position * unit
     time = track.time - track.time[0]
     if track.velocity is None or track.angular is None:
-        twist = _derived(time, position, track.quaternion)
+        twist = _velocities(time, position, track.quaternion)
     else:
         twist = np.hstack([track.velocity * unit + forward, track.angular])
     return Toss(
@@ -214,7 +214,7 @@ def _toss(track: PoseTrack, unit: float, forward: FloatArray) -> Toss:
     )
 
 
-def _derived(time: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
+def _velocities(time: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
     """(n, 6) velocities from poses, by parabolas through neighbours and mean rotations."""
     width, count = 5, len(time)
     found = np.empty((count, 6))

@@ -140,7 +140,7 @@ def bootstrap_minimum(
         seed: seed of the resampling.
     """
     kept = np.array(free, dtype=int)
-    part = Surface(found.centre[kept], _only(found, kept), found.reach)
+    part = Surface(found.centre[kept], _selected_coefficients(found, kept), found.reach)
     tosses = found.coefficients.shape[1]
     rng = np.random.default_rng(seed)
     weights = rng.multinomial(tosses, np.full(tosses, 1.0 / tosses), size=DRAWS)
@@ -191,7 +191,7 @@ def by_toss(found: FloatArray, groups: Sequence[int]) -> FloatArray:
     return np.asarray(found @ (members / members.sum(axis=1, keepdims=True)).T)
 
 
-def _only(found: Surface, kept: FloatArray) -> FloatArray:
+def _selected_coefficients(found: Surface, kept: FloatArray) -> FloatArray:
     count = len(found.centre)
     rows, columns = np.triu_indices(count)
     squares = np.isin(rows, kept) & np.isin(columns, kept)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, weighed
+from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, weight_rows
 
 _ENOUGH = 10
 """Smallest number of recordings for which each recording is one block."""
@@ -77,8 +77,8 @@ def normal_equations(
     matrices, rights = [], []
     for k in range(int(owner.max()) + 1):
         mine = owner == k
-        w = weighed(problem.matrix[mine], weight[mine])
-        z = w if left is None else weighed(left[mine], weight[mine])
+        w = weight_rows(problem.matrix[mine], weight[mine])
+        z = w if left is None else weight_rows(left[mine], weight[mine])
         matrices.append(z.T @ w)
         rights.append(z.T @ (problem.effort[mine] * weight[mine]).ravel())
     return np.array(matrices), np.array(rights)

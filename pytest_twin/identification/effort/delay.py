@@ -12,7 +12,7 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT
 from pytest_twin.identification.effort.instruments import solve_instrumental
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 
 DELAY, LAG = "robot.effort_delay", "robot.effort_lag"
 """Names of delay and time constant among the parameters of a record."""
@@ -67,8 +67,8 @@ def delay_of(
 
 
 def without_delay(
-    recordings: Sequence[Measured], value: float, name: str = DELAY
-) -> tuple[Measured, ...]:
+    recordings: Sequence[MeasuredRecording], value: float, name: str = DELAY
+) -> tuple[MeasuredRecording, ...]:
     """Return the recordings with the delay or lag of the efforts removed.
 
     Args:

@@ -16,7 +16,7 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.effort_scale import Scale, payload_scales
 from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import choose_filter
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
+from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
 
@@ -26,7 +26,7 @@ which stands in for it, is right to 30 %."""
 
 
 def drive_gains(
-    realization: Realization, measured: MeasuredSet, shared: Sequence[SharedMotor]
+    realization: Realization, measured: MeasuredRecordings, shared: Sequence[SharedMotor]
 ) -> dict[str, Scale]:
     """Return joint -> recorded current per N*m (N), where known payloads determine it.
 
@@ -50,7 +50,9 @@ def drive_gains(
     }
 
 
-def as_torques(recordings: Sequence[Measured], gains: Mapping[str, Scale]) -> tuple[Measured, ...]:
+def as_torques(
+    recordings: Sequence[MeasuredRecording], gains: Mapping[str, Scale]
+) -> tuple[MeasuredRecording, ...]:
     """Return the recordings with the currents of these joints divided by their gains."""
     found = []
     for one in recordings:

@@ -13,7 +13,7 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
 
@@ -41,7 +41,10 @@ class Scale:
 
 
 def payload_effort(
-    realization: Realization, regressor: Regressor, recording: Measured, rows: RecordingRows
+    realization: Realization,
+    regressor: Regressor,
+    recording: MeasuredRecording,
+    rows: RecordingRows,
 ) -> FloatArray | None:
     """(n, joints) effort of a known payload of the recording; None without a payload.
 
@@ -52,7 +55,7 @@ def payload_effort(
     return None if added is None else np.asarray(rows.matrix @ added)
 
 
-def known_payload(realization: Realization, recording: Measured) -> str | None:
+def known_payload(realization: Realization, recording: MeasuredRecording) -> str | None:
     """Return the payload of a recording if the twin states it, else None."""
     payload = recording.metadata.get("payload")
     stated = () if realization.twin is None else realization.twin.payloads
@@ -60,7 +63,7 @@ def known_payload(realization: Realization, recording: Measured) -> str | None:
 
 
 def payload_parameters(
-    realization: Realization, regressor: Regressor, recording: Measured
+    realization: Realization, regressor: Regressor, recording: MeasuredRecording
 ) -> FloatArray | None:
     """(p,) change of the parameters by a known payload of the recording; None without a payload.
 
@@ -79,18 +82,22 @@ def payload_parameters(
 
 
 def payload_scales(
-    realization: Realization, recordings: Sequence[Measured], regressor: Regressor, chosen: Filter
+    realization: Realization,
+    recordings: Sequence[MeasuredRecording],
+    regressor: Regressor,
+    chosen: Filter,
 ) -> dict[str, Scale]:
-    """Joint -> its scale, where recordings with different known payloads tell it.
+    """Joint -> scale of its effort, where recordings with different known payloads determine it.
 
-    Each joint is fitted alone: effort = scale (W p + payload). All of the robot's own parameters
-    are free, so that the scale is what the known payload adds beside them.
+    Each joint is fitted alone: ``effort = scale (W p + payload)``. All parameters ``p`` of the
+    robot are free. So the scale follows only from the part of the payload's effort that these
+    parameters cannot explain.
 
     Args:
         realization: the nominal model, with the twin that states the payloads.
-        recordings: those to fit.
-        regressor: of the robot.
-        chosen: how motion is filtered.
+        recordings: recordings to fit.
+        regressor: regressor of the robot without payload, ``W``.
+        chosen: low-pass filter of regressor and effort.
     """
     if all(known_payload(realization, one) is None for one in recordings):
         return {}
@@ -117,8 +124,10 @@ def payload_scales(
     return found
 
 
-def scaled(recordings: Sequence[Measured], scales: Mapping[str, Scale]) -> tuple[Measured, ...]:
-    """The recordings with each effort divided by its scale."""
+def divide_by_scales(
+    recordings: Sequence[MeasuredRecording], scales: Mapping[str, Scale]
+) -> tuple[MeasuredRecording, ...]:
+    """Return the recordings with the efforts divided by the scales of their joints."""
     return tuple(
         replace(
             one,
@@ -138,7 +147,14 @@ def _lengths(use: np.ndarray, rows: Sequence[RecordingRows]) -> list[int]:
 def _scale(
     matrix: FloatArray, known: FloatArray, effort: FloatArray, lengths: Sequence[int]
 ) -> Scale | None:
-    """Of one joint; None where its own parameters can do all that the payload does."""
+    """Return the scale of one joint; None if its own parameters can explain the payload's effort.
+
+    Args:
+        matrix: (n, p) regressor rows of the joint.
+        known: (n,) effort of the known payloads, N*m or N.
+        effort: (n,) recorded effort, in its unit.
+        lengths: number of rows of each recording.
+    """
     sizes = np.linalg.norm(matrix, axis=0)
     basis, singular, _ = np.linalg.svd(matrix[:, sizes > 0] / sizes[sizes > 0], full_matrices=False)
     basis = basis[:, singular > 1e-8 * singular[0]]

@@ -15,12 +15,12 @@ from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.least_squares import (
     LinearProblem,
     Solution,
-    moved_by,
+    is_determined,
     solve,
-    weighed,
+    weight_rows,
 )
 from pytest_twin.identification.effort.recording_rows import encoder_slopes
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.motions import entry
 from pytest_twin.identification.regressor import BaseParameters, Regressor
 from pytest_twin.realization import Realization
@@ -80,7 +80,7 @@ class EncoderErrors:
 
 def encoders_of(
     realization: Realization,
-    recordings: Sequence[Measured],
+    recordings: Sequence[MeasuredRecording],
     regressor: Regressor,
     base: BaseParameters,
     problem: LinearProblem,
@@ -110,7 +110,7 @@ def encoders_of(
         dry = np.zeros((len(problem.dry), len(kept)), dtype=bool)
         both = replace(problem, matrix=columns, dry=np.hstack([problem.dry, dry]), instrument=None)
         # Columns that the motion hardly excites are removed before the solution.
-        shown = moved_by(columns, both)[free:]
+        shown = is_determined(columns, both)[free:]
         if not shown.all():
             kept = [k for k, seen in zip(kept, shown, strict=True) if seen]
             continue
@@ -126,7 +126,7 @@ def encoders_of(
     return EncoderErrors((), tuple(names))
 
 
-def widened(
+def widen_by_encoder_errors(
     problem: LinearProblem, solution: Solution, slopes: FloatArray, encoders: EncoderErrors
 ) -> Solution:
     """A solution whose covariance and intervals allow for errors of the encoders.
@@ -152,8 +152,8 @@ def widened(
     t = value / std
     share = np.maximum(shrinkage(t[~known]), t**2 / (1.0 + t**2))
     size = np.where(known, std, np.hypot(share * value, np.sqrt(share) * std))
-    rows = weighed(problem.matrix, solution.weight)
-    change = np.linalg.lstsq(rows, weighed(slopes, solution.weight), rcond=None)[0] * size
+    rows = weight_rows(problem.matrix, solution.weight)
+    change = np.linalg.lstsq(rows, weight_rows(slopes, solution.weight), rcond=None)[0] * size
     carried = change @ change.T
     return replace(
         solution,
@@ -164,7 +164,7 @@ def widened(
 
 def slopes_of(
     realization: Realization,
-    recordings: Sequence[Measured],
+    recordings: Sequence[MeasuredRecording],
     regressor: Regressor,
     base: BaseParameters,
     values: FloatArray,
@@ -188,8 +188,8 @@ def slopes_of(
 
 
 def without_errors(
-    recordings: Sequence[Measured], readings: Sequence[EncoderError]
-) -> tuple[Measured, ...]:
+    recordings: Sequence[MeasuredRecording], readings: Sequence[EncoderError]
+) -> tuple[MeasuredRecording, ...]:
     """Return the recordings with positions corrected for known encoder errors."""
     return tuple(replace(one, position=_true(one, readings)) for one in recordings)
 
@@ -204,13 +204,13 @@ def describe_errors(readings: Sequence[EncoderError], slides: Mapping[str, bool]
         else:
             unit = "mm" if slides[one.joint] else "mrad"
             words.append(
-                f"{one.joint} reads {1e3 * one.value:+.1f} {unit} (± {1e3 * one.half_width:.1f}) "
-                "beside its zero"
+                f"zero of {one.joint} reads {1e3 * one.value:+.1f} {unit} "
+                f"(± {1e3 * one.half_width:.1f})"
             )
     return ", ".join(words)
 
 
-def _true(recording: Measured, readings: Sequence[EncoderError]) -> FloatArray:
+def _true(recording: MeasuredRecording, readings: Sequence[EncoderError]) -> FloatArray:
     position = recording.position.copy()
     for kind in (BIAS, SCALE):
         for one in readings:

@@ -22,7 +22,7 @@ TX40, 3 keeps 28 of 61 parameters, 4 keeps 26 and 5 keeps 24; 4 has the smallest
 
 
 @dataclass(frozen=True)
-class Essential:
+class EssentialParameters:
     """Fit of the essential parameters.
 
     Attributes:
@@ -43,7 +43,7 @@ class Essential:
         return whole
 
 
-def essential(problem: LinearProblem) -> Essential:
+def find_essential_parameters(problem: LinearProblem) -> EssentialParameters:
     """Backward elimination of parameters that do not differ from zero (Khalil, Dombre 2002, 12.5).
 
     Args:
@@ -53,15 +53,15 @@ def essential(problem: LinearProblem) -> Essential:
     while True:
         rest = problem.only(kept)
         found = solve(rest)
-        removed = _eliminated(rest, found)
+        removed = _eliminate(rest, found)
         if not removed:
             held = np.setdiff1d(np.arange(problem.matrix.shape[2]), kept)
             half = np.hypot(found.half_width, Z95 * omission(problem, kept, held, found))
-            return Essential(kept, held, replace(found, half_width=half))
+            return EssentialParameters(kept, held, replace(found, half_width=half))
         kept = np.delete(kept, removed)
 
 
-def _eliminated(problem: LinearProblem, found: Solution) -> list[int]:
+def _eliminate(problem: LinearProblem, found: Solution) -> list[int]:
     """Return the columns to remove, in order, with the weights of a solution."""
     said = information(problem, found.residual, found.weight)
     values = found.values.copy()

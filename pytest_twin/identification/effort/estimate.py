@@ -9,14 +9,23 @@ import numpy as np
 
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.blocks import Bootstrap, bootstrap
-from pytest_twin.identification.effort.essential_parameters import Essential, essential, omission
+from pytest_twin.identification.effort.essential_parameters import (
+    EssentialParameters,
+    find_essential_parameters,
+    omission,
+)
 from pytest_twin.identification.effort.instruments import (
     Endogeneity,
     endogeneity,
     solve_instrumental,
     with_commanded_motion,
 )
-from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, moved_by, solve
+from pytest_twin.identification.effort.least_squares import (
+    LinearProblem,
+    Solution,
+    is_determined,
+    solve,
+)
 
 Estimator = Literal["weighted least squares", "instrumental variables"]
 SQUARES: Estimator = "weighted least squares"
@@ -36,7 +45,7 @@ class Estimate:
         bootstrap: check of the intervals.
     """
 
-    fitted: Essential
+    fitted: EssentialParameters
     estimator: Estimator
     why: str
     squares: Solution
@@ -51,7 +60,7 @@ class Estimate:
         return found
 
 
-def estimate(problem: LinearProblem, tested: LinearProblem, found: Essential) -> Estimate:
+def estimate(problem: LinearProblem, tested: LinearProblem, found: EssentialParameters) -> Estimate:
     """Choose the estimator by the test of Durbin, Wu and Hausman, and check its intervals.
 
     Args:
@@ -64,7 +73,7 @@ def estimate(problem: LinearProblem, tested: LinearProblem, found: Essential) ->
     solution, estimator = squares, SQUARES
     if own.instrument is None:
         why = "no instrument: not every joint has position commands"
-    elif not moved_by(own.instrument, own).all():
+    elif not is_determined(own.instrument, own).all():
         why = "no instrument: the commanded motion does not move every parameter"
     else:
         instruments = solve_instrumental(own, squares)
@@ -74,7 +83,7 @@ def estimate(problem: LinearProblem, tested: LinearProblem, found: Essential) ->
             estimator = INSTRUMENTS
             # The commanded motion is used, because noise in the measured motion would bias least
             # squares.
-            found = essential(with_commanded_motion(problem))
+            found = find_essential_parameters(with_commanded_motion(problem))
             kept, own = found.kept, problem.only(found.kept)
             squares = solve(own)
             solution = solve_instrumental(own, squares)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import signal
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 
 _ORDER = 4
 """Order of the Butterworth low-pass filter, which is applied forward and backward."""
@@ -81,7 +81,7 @@ class Motion:
     rate: float
 
 
-def choose_filter(recordings: Sequence[Measured]) -> Filter:
+def choose_filter(recordings: Sequence[MeasuredRecording]) -> Filter:
     """Choose one filter for all recordings, from the bandwidth of the fastest joint.
 
     The velocity's power is that of all recordings together: a joint that is held in some of them
@@ -97,9 +97,9 @@ def choose_filter(recordings: Sequence[Measured]) -> Filter:
     )
 
 
-def differentiate(recording: Measured, chosen: Filter) -> Motion:
+def differentiate(recording: MeasuredRecording, chosen: Filter) -> Motion:
     """Return motion with velocities and accelerations, at the rate of the regressors."""
-    even = uniform(recording)
+    even = resample_uniformly(recording)
     rate = recording.rate
     smooth = low_passed(even.position, chosen.cutoff, rate)
     velocity = np.gradient(smooth, 1.0 / rate, axis=0)
@@ -117,7 +117,7 @@ def differentiate(recording: Measured, chosen: Filter) -> Motion:
     )
 
 
-def decimated(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
+def decimate(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
     """Low-pass (n, ...) values with zero phase and decimate them to (m, ...) at the fit's rate.
 
     Columns with NaN stay NaN.
@@ -128,7 +128,7 @@ def decimated(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
     return np.asarray(smooth[::step].reshape(-1, *values.shape[1:]))
 
 
-def _bandwidth(recordings: Sequence[Measured]) -> float:
+def _bandwidth(recordings: Sequence[MeasuredRecording]) -> float:
     """Frequency, Hz, below which the velocity of every joint has nearly all of its power."""
     slowest = min(one.rate for one in recordings)
     lines = [_power(one) for one in recordings]
@@ -145,9 +145,9 @@ def _bandwidth(recordings: Sequence[Measured]) -> float:
     return float(ends[sound].max()) if sound.any() else slowest / 50.0
 
 
-def _power(recording: Measured) -> tuple[FloatArray, FloatArray]:
+def _power(recording: MeasuredRecording) -> tuple[FloatArray, FloatArray]:
     """Frequencies (k,) Hz, and the energy (k, joints) of the velocities there above the noise."""
-    position = uniform(recording).position
+    position = resample_uniformly(recording).position
     rate = recording.rate
     velocity: FloatArray = np.diff(position, axis=0) * rate
     velocity = velocity - velocity.mean(axis=0)
@@ -162,7 +162,7 @@ def _power(recording: Measured) -> tuple[FloatArray, FloatArray]:
     return frequency, np.asarray(power, dtype=np.float64)
 
 
-def uniform(recording: Measured) -> Measured:
+def resample_uniformly(recording: MeasuredRecording) -> MeasuredRecording:
     """Return the recording resampled at equal intervals."""
     time = recording.time
     step = 1.0 / recording.rate
@@ -174,14 +174,14 @@ def uniform(recording: Measured) -> Measured:
     return replace(
         recording,
         time=even,
-        position=_resampled(even, time, recording.position),
+        position=_resample(even, time, recording.position),
         velocity=None,
-        effort=_resampled(even, time, recording.effort),
-        command=None if command is None else _resampled(even, time, command),
+        effort=_resample(even, time, recording.effort),
+        command=None if command is None else _resample(even, time, command),
     )
 
 
-def _resampled(at: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
+def _resample(at: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
     columns = []
     for column in values.T:
         known = np.isfinite(column)

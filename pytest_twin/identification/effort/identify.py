@@ -16,10 +16,10 @@ from pytest_twin.identification.effort.drift import drifts
 from pytest_twin.identification.effort.drive_gains import as_torques, drive_gains
 from pytest_twin.identification.effort.effort_scale import (
     Scale,
+    divide_by_scales,
     known_payload,
     payload_effort,
     payload_scales,
-    scaled,
 )
 from pytest_twin.identification.effort.encoders import (
     EncoderError,
@@ -27,10 +27,13 @@ from pytest_twin.identification.effort.encoders import (
     describe_errors,
     encoders_of,
     slopes_of,
-    widened,
+    widen_by_encoder_errors,
     without_errors,
 )
-from pytest_twin.identification.effort.essential_parameters import Essential, essential
+from pytest_twin.identification.effort.essential_parameters import (
+    EssentialParameters,
+    find_essential_parameters,
+)
 from pytest_twin.identification.effort.estimate import INSTRUMENTS, Estimate, estimate
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
 from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
@@ -44,10 +47,10 @@ from pytest_twin.identification.effort.least_squares import (
     LinearProblem,
     Solution,
     information,
+    is_determined,
     linear_problem,
-    moved_by,
     solve,
-    weighed,
+    weight_rows,
 )
 from pytest_twin.identification.effort.position_mistakes import position_mistakes
 from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
@@ -58,8 +61,8 @@ from pytest_twin.identification.effort.stage_comparison import (
     errors_of,
     with_data,
 )
-from pytest_twin.identification.full_parameters import Physical, physical
-from pytest_twin.identification.measured_recordings import Measured, MeasuredSet
+from pytest_twin.identification.full_parameters import FullParameters, fit_full_parameters
+from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.regressor import (
     BaseParameters,
     Regressor,
@@ -117,7 +120,7 @@ class EffortResult:
 
     regressor: Regressor
     base: BaseParameters
-    fitted: Essential
+    fitted: EssentialParameters
     stages: tuple[Stage, ...]
     stage_of: tuple[StageName, ...]
     errors: dict[str, EffortError]
@@ -125,7 +128,7 @@ class EffortResult:
     without_effort: tuple[str, ...]
     unobservable: NDArray[np.bool_]
     unsure: NDArray[np.bool_]
-    physical: Physical
+    physical: FullParameters
     filter: Filter
     samples: tuple[RecordingRows, ...]
     held_out: tuple[RecordingRows, ...]
@@ -138,13 +141,13 @@ class EffortResult:
     gains: Mapping[str, Scale] = field(default_factory=dict)
 
 
-def has_effort(measured: MeasuredSet) -> bool:
+def has_effort(measured: MeasuredRecordings) -> bool:
     """Whether a fitted recording has a usable effort of a joint."""
     return any(bool(np.isfinite(one.effort).any()) for one in measured.fit)
 
 
 def identify_effort(
-    realization: Realization, measured: MeasuredSet, signals: Signals
+    realization: Realization, measured: MeasuredRecordings, signals: Signals
 ) -> EffortResult:
     """Fit the inverse dynamics to recordings with efforts.
 
@@ -157,10 +160,12 @@ def identify_effort(
         RecordingError: no joint has a usable effort.
         SpecError: the twin does not state a payload.
     """
-    gains = drive_gains(realization, measured, _shared(measured.fit[0].joints, signals))
+    gains = drive_gains(realization, measured, _shared_motors(measured.fit[0].joints, signals))
     if not gains:
         return _identify_in_stages(realization, measured, signals)
-    torques = MeasuredSet(as_torques(measured.fit, gains), as_torques(measured.held_out, gains))
+    torques = MeasuredRecordings(
+        as_torques(measured.fit, gains), as_torques(measured.held_out, gains)
+    )
     before, _ = _identify(realization, measured, signals)
     found = _identify_in_stages(realization, torques, signals)
     words = ", ".join(f"{joint} {gain.value:.4g} A/(N*m)" for joint, gain in gains.items())
@@ -171,11 +176,11 @@ def identify_effort(
         return _identify_in_stages(realization, measured, signals)
     own = next(s for s in found.stages if s.name == "drive")
     stage = replace(stage, parameters=(*stage.parameters, *own.parameters), data=own.data)
-    found = _widened_by_scales(realization, torques, found, gains)
+    found = _widen_by_scale_errors(realization, torques, found, gains)
     return replace(
         found,
         stages=tuple(stage if s.name == "drive" else s for s in found.stages),
-        gains=_corrected(gains, found.scales),
+        gains=_correct_gains(gains, found.scales),
         scales={joint: scale for joint, scale in found.scales.items() if joint not in gains},
     )
 
@@ -193,7 +198,7 @@ def _scale_stage(
     )  # fmt: skip
 
 
-def _corrected(gains: Mapping[str, Scale], scales: Mapping[str, Scale]) -> dict[str, Scale]:
+def _correct_gains(gains: Mapping[str, Scale], scales: Mapping[str, Scale]) -> dict[str, Scale]:
     """Return the gains times the scales that were found after them, where these differ from 1."""
     return {
         joint: Scale(gain.value * scales[joint].value, gain.half_width * scales[joint].value)
@@ -204,7 +209,7 @@ def _corrected(gains: Mapping[str, Scale], scales: Mapping[str, Scale]) -> dict[
 
 
 def _identify_in_stages(
-    realization: Realization, measured: MeasuredSet, signals: Signals
+    realization: Realization, measured: MeasuredRecordings, signals: Signals
 ) -> EffortResult:
     found, late = _identify(realization, measured, signals)
     if any(one.is_fatal for one in found.suspected):
@@ -216,36 +221,40 @@ def _identify_in_stages(
     right, found, encoder = _with_encoders(realization, moved, signals, found)
     if found.encoders.corrected:
         measured = _at_true_positions(measured, found.encoders.corrected)
-        measured, found, delay = _reopened(realization, (measured, right), signals, found, delay)
+        measured, found, delay = _repeat_delay_stage(
+            realization, (measured, right), signals, found, delay
+        )
     else:
         measured = right
     found = replace(found, stages=(delay, encoder, *found.stages))
     found = _with_scales(realization, measured, signals, found)
     rejected = any(one.name == "drive" and one.state == "rejected" for one in found.stages)
     off = {j: s for j, s in found.scales.items() if s.is_significant and not rejected}
-    return _widened_by_scales(realization, measured, _widened(realization, measured, found), off)
+    return _widen_by_scale_errors(
+        realization, measured, _widen_by_encoder_errors(realization, measured, found), off
+    )
 
 
 def _with_delay(
     realization: Realization,
-    measured: MeasuredSet,
+    measured: MeasuredRecordings,
     signals: Signals,
     found: EffortResult,
     late: Delay | None,
-) -> tuple[MeasuredSet, EffortResult, Stage]:
+) -> tuple[MeasuredRecordings, EffortResult, Stage]:
     """Run the delay stage: efforts are shifted if that reduces the held-out error."""
     if late is None or not late.is_significant:
         why = "the efforts are not stamped later than the motion, as far as the motion shows"
         stage = Stage("delay", "not_observable", why, (), None, EXCLUDES["delay"])
         return measured, found, stage
-    moved, again, late = _without(realization, measured, signals, late)
+    moved, again, late = _remove_delay(realization, measured, signals, late)
     turn = 2.0 * np.pi * found.filter.parallel * late.value
     said = (
         f"efforts are stamped {1e3 * late.value:+.2f} ms (± {1e3 * late.half_width:.2f}) later "
         "than the motion"
     )
     if turn > _SHORTEST_LAG:
-        lagged = _without(realization, measured, signals, replace(late, name=LAG))
+        lagged = _remove_delay(realization, measured, signals, replace(late, name=LAG))
         if _log_noise(lagged[1]) < _log_noise(again) - _LESS_NOISE:
             moved, again, late = lagged
             said = (
@@ -261,12 +270,12 @@ def _with_delay(
     return moved, replace(again, delay=late), stage
 
 
-def _without(
-    realization: Realization, measured: MeasuredSet, signals: Signals, late: Delay
-) -> tuple[MeasuredSet, EffortResult, Delay]:
+def _remove_delay(
+    realization: Realization, measured: MeasuredRecordings, signals: Signals, late: Delay
+) -> tuple[MeasuredRecordings, EffortResult, Delay]:
     """Remove a delay or lag; return the recordings, their identification and the refined delay."""
     for _ in range(_REFINEMENTS):
-        moved = MeasuredSet(
+        moved = MeasuredRecordings(
             without_delay(measured.fit, late.value, late.name),
             without_delay(measured.held_out, late.value, late.name),
         )
@@ -284,8 +293,8 @@ def _log_noise(found: EffortResult) -> float:
 
 
 def _with_encoders(
-    realization: Realization, measured: MeasuredSet, signals: Signals, found: EffortResult
-) -> tuple[MeasuredSet, EffortResult, Stage]:
+    realization: Realization, measured: MeasuredRecordings, signals: Signals, found: EffortResult
+) -> tuple[MeasuredRecordings, EffortResult, Stage]:
     """Run the encoder stage: positions are corrected if that reduces the held-out error."""
     excludes = EXCLUDES["encoder"]
     slides = dict(zip(found.regressor.joints, found.regressor.slides, strict=True))
@@ -294,7 +303,10 @@ def _with_encoders(
     if not said.wrong:
         why = "no zero and no scale of an encoder differs from the model's, as far as efforts show"
         if not said.readings:
-            why = "the motion does not tell a zero or scale of an encoder from parameters of links"
+            why = (
+                "the motion does not distinguish zeros and scales of encoders from parameters of "
+                "links"
+            )
         return measured, found, Stage("encoder", "not_observable", why, (), None, excludes)
     right, again, left = measured, found, said
     applied: dict[tuple[str, str], EncoderError] = {}
@@ -341,19 +353,21 @@ def _with_encoders(
     return right, replace(again, delay=found.delay, encoders=told), stage
 
 
-def _at_true_positions(measured: MeasuredSet, readings: Sequence[EncoderError]) -> MeasuredSet:
-    return MeasuredSet(
+def _at_true_positions(
+    measured: MeasuredRecordings, readings: Sequence[EncoderError]
+) -> MeasuredRecordings:
+    return MeasuredRecordings(
         without_errors(measured.fit, readings), without_errors(measured.held_out, readings)
     )
 
 
-def _reopened(
+def _repeat_delay_stage(
     realization: Realization,
-    recordings: tuple[MeasuredSet, MeasuredSet],
+    recordings: tuple[MeasuredRecordings, MeasuredRecordings],
     signals: Signals,
     found: EffortResult,
     delay: Stage,
-) -> tuple[MeasuredSet, EffortResult, Stage]:
+) -> tuple[MeasuredRecordings, EffortResult, Stage]:
     """Repeat the delay stage if corrected encoders change its result.
 
     Args:
@@ -379,7 +393,7 @@ def _reopened(
 
 
 def _encoders(
-    realization: Realization, measured: MeasuredSet, found: EffortResult
+    realization: Realization, measured: MeasuredRecordings, found: EffortResult
 ) -> EncoderErrors:
     shown = _problem(found.samples, found.regressor, found.base)
     return encoders_of(
@@ -388,7 +402,9 @@ def _encoders(
     )  # fmt: skip
 
 
-def _widened(realization: Realization, measured: MeasuredSet, found: EffortResult) -> EffortResult:
+def _widen_by_encoder_errors(
+    realization: Realization, measured: MeasuredRecordings, found: EffortResult
+) -> EffortResult:
     """The result with intervals that allow for errors of the encoders."""
     fitted, readings = found.fitted, found.encoders.readings
     if not readings or not len(fitted.kept):
@@ -398,13 +414,13 @@ def _widened(realization: Realization, measured: MeasuredSet, found: EffortResul
         [(one.joint, one.kind) for one in readings],
     )  # fmt: skip
     own = _problem(found.samples, found.regressor, found.base).only(fitted.kept)
-    solution = widened(own, fitted.solution, slopes, found.encoders)
+    solution = widen_by_encoder_errors(own, fitted.solution, slopes, found.encoders)
     return replace(found, fitted=replace(fitted, solution=solution))
 
 
-def _widened_by_scales(
+def _widen_by_scale_errors(
     realization: Realization,
-    measured: MeasuredSet,
+    measured: MeasuredRecordings,
     found: EffortResult,
     scales: Mapping[str, Scale],
 ) -> EffortResult:
@@ -428,8 +444,8 @@ def _widened_by_scales(
     slopes = np.stack([np.where(np.arange(len(joints)) == k, whole, 0.0)
                        for k in range(len(joints))], axis=2)  # fmt: skip
     solution = fitted.solution
-    rows_ = weighed(problem.matrix, solution.weight)
-    change = np.linalg.lstsq(rows_, weighed(slopes, solution.weight), rcond=None)[0]
+    rows_ = weight_rows(problem.matrix, solution.weight)
+    change = np.linalg.lstsq(rows_, weight_rows(slopes, solution.weight), rcond=None)[0]
     carried_ = change @ change.T
     solution = replace(
         solution,
@@ -440,7 +456,7 @@ def _widened_by_scales(
 
 
 def _with_scales(
-    realization: Realization, measured: MeasuredSet, signals: Signals, found: EffortResult
+    realization: Realization, measured: MeasuredRecordings, signals: Signals, found: EffortResult
 ) -> EffortResult:
     """Estimate the effort scales from known payloads, divide efforts by them and repeat the fit."""
     scales = payload_scales(realization, measured.fit, found.regressor, found.filter)
@@ -448,7 +464,9 @@ def _with_scales(
     found = replace(found, scales=scales)
     if not off:
         return found
-    right = MeasuredSet(scaled(measured.fit, off), scaled(measured.held_out, off))
+    right = MeasuredRecordings(
+        divide_by_scales(measured.fit, off), divide_by_scales(measured.held_out, off)
+    )
     again, _ = _identify(realization, right, signals)
     words = ", ".join(f"{joint} {scale.value:.3f}" for joint, scale in off.items())
     stage = _scale_stage(
@@ -457,14 +475,16 @@ def _with_scales(
     if stage.state != "accepted":
         return replace(found, stages=tuple(stage if s.name == "drive" else s for s in found.stages))
     assert stage.held_out is not None
-    refitted = _refitted(found, again, stage.held_out)
+    refitted = _stages_after_scaling(found, again, stage.held_out)
     biases = next(s.parameters for s in refitted if s.name == "drive")
     stage = replace(stage, parameters=(*stage.parameters, *biases))
     kept = (*found.stages[:2], *(stage if s.name == "drive" else s for s in refitted))
     return replace(again, stages=kept, delay=found.delay, encoders=found.encoders, scales=scales)
 
 
-def _refitted(before: EffortResult, after: EffortResult, held_out: HeldOut) -> tuple[Stage, ...]:
+def _stages_after_scaling(
+    before: EffortResult, after: EffortResult, held_out: HeldOut
+) -> tuple[Stage, ...]:
     """Return the stages after efforts were divided by their scales.
 
     A stage is reopened if one of its parameters leaves its 95 % interval.
@@ -499,16 +519,18 @@ def _mean_relative(errors: dict[str, EffortError]) -> float:
 
 
 def _identify(
-    realization: Realization, measured: MeasuredSet, signals: Signals
+    realization: Realization, measured: MeasuredRecordings, signals: Signals
 ) -> tuple[EffortResult, Delay | None]:
     """Run the stages after the delay; return the result and the remaining delay."""
     everything = (*measured.fit, *measured.held_out)
     joints = everything[0].joints
     unscaled = [j for k, j in enumerate(joints) if any(m.unscaled[k] for m in measured.fit)]
-    shared = _shared(joints, signals)
+    shared = _shared_motors(joints, signals)
     regressor = Regressor(realization, joints, shared, unscaled)
     chosen = choose_filter(measured.fit)
-    regressors = [_loaded(realization, regressor, one, shared, unscaled) for one in everything]
+    regressors = [
+        _regressor_with_payload(realization, regressor, one, shared, unscaled) for one in everything
+    ]
     sampled = sample(everything, regressors, chosen, instruments_of(everything, chosen))
     recorded = np.concatenate([rows.effort for rows in sampled[: len(measured.fit)]])
     for recording, rows in zip(everything, sampled, strict=True):
@@ -533,9 +555,11 @@ def _identify(
     columns = np.flatnonzero(~open_)
     tested = _problem(held or fit, regressor, base)
     shown = problem.only(columns)
-    found = estimate(shown, tested.only(columns), essential(shown))
+    found = estimate(shown, tested.only(columns), find_essential_parameters(shown))
     kept = columns[found.fitted.kept]
-    fitted = Essential(kept, np.setdiff1d(np.arange(len(base)), kept), found.fitted.solution)
+    fitted = EssentialParameters(
+        kept, np.setdiff1d(np.arange(len(base)), kept), found.fitted.solution
+    )
     prior = base.values(regressor.prior)
     # Noise of the measured motion would look like an error of the stages.
     quiet = found.estimator == INSTRUMENTS
@@ -577,7 +601,9 @@ def _identify(
         without_effort=tuple(j for j, k in zip(joints, known, strict=True) if not k),
         unobservable=open_,
         unsure=_unsure(problem, prior, columns, kept, full),
-        physical=physical(regressor.columns, regressor.prior, base.combination, whole, said),
+        physical=fit_full_parameters(
+            regressor.columns, regressor.prior, base.combination, whole, said
+        ),
         filter=chosen,
         samples=tuple(fit),
         held_out=tuple(held),
@@ -589,7 +615,7 @@ def _identify(
     return result, late
 
 
-def _shared(joints: Sequence[str], signals: Signals) -> list[SharedMotor]:
+def _shared_motors(joints: Sequence[str], signals: Signals) -> list[SharedMotor]:
     return [
         SharedMotor(j, own.joint, own.ratio)
         for j in joints
@@ -597,10 +623,10 @@ def _shared(joints: Sequence[str], signals: Signals) -> list[SharedMotor]:
     ]
 
 
-def _loaded(
+def _regressor_with_payload(
     realization: Realization,
     regressor: Regressor,
-    recording: Measured,
+    recording: MeasuredRecording,
     shared: Sequence[SharedMotor],
     unscaled: Sequence[str],
 ) -> Regressor:
@@ -634,7 +660,7 @@ def _problem(
 
 def _unobservable(problem: LinearProblem) -> NDArray[np.bool_]:
     """(b,) True for parameters that the motion does not determine, for any noise."""
-    return ~moved_by(problem.matrix, problem)
+    return ~is_determined(problem.matrix, problem)
 
 
 def _unsure(

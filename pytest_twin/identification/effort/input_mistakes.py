@@ -12,7 +12,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, solve
 from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
 
@@ -58,7 +58,7 @@ class InputMistake:
 
 def find_mistakes(
     realization: Realization,
-    recordings: Sequence[Measured],
+    recordings: Sequence[MeasuredRecording],
     samples: Sequence[RecordingRows],
     regressor: Regressor,
     gears: Sequence[float],
@@ -75,12 +75,12 @@ def find_mistakes(
         regressor: regressor of the robot.
         gears: (joints,) stated gear ratios, 1 by default.
     """
-    found = _rescaled_by_effort(realization, recordings, samples, regressor, gears)
+    found = _rescaling_by_effort(realization, recordings, samples, regressor, gears)
     for k, joint in enumerate(regressor.joints):
-        alone = _alone(samples, regressor, k)
+        alone = _fit_joint_alone(samples, regressor, k)
         if alone is None:
             continue
-        if amount := _unsigned(samples, regressor, k):
+        if amount := _unsigned_effort(samples, regressor, k):
             found.append(amount)
             continue
         factor, viscous, dry = alone.values[:3]
@@ -115,9 +115,9 @@ class _Rescaling:
     mend: str
 
 
-def _rescaled_by_effort(
+def _rescaling_by_effort(
     realization: Realization,
-    recordings: Sequence[Measured],
+    recordings: Sequence[MeasuredRecording],
     samples: Sequence[RecordingRows],
     regressor: Regressor,
     gears: Sequence[float],
@@ -131,7 +131,10 @@ def _rescaled_by_effort(
         turned = [replace(one, position=one.position * scale) for one in recordings]
         rows = sample(turned, [regressor] * len(turned), choose_filter(turned))
         for k in trial.joints:
-            before, after = _alone(samples, regressor, k), _alone(rows, regressor, k)
+            before, after = (
+                _fit_joint_alone(samples, regressor, k),
+                _fit_joint_alone(rows, regressor, k),
+            )
             if before is None or after is None:
                 continue
             noise = float(after.noise[0])
@@ -195,7 +198,7 @@ def _factor(joint: str, factor: float, gear: float) -> InputMistake:
     )
 
 
-def _unsigned(
+def _unsigned_effort(
     samples: Sequence[RecordingRows], regressor: Regressor, joint: int
 ) -> InputMistake | None:
     """Return a suspicion if an effort of one sign fits far better as an amount.
@@ -238,7 +241,9 @@ def _unsigned(
     )
 
 
-def _alone(samples: Sequence[RecordingRows], regressor: Regressor, joint: int) -> Solution | None:
+def _fit_joint_alone(
+    samples: Sequence[RecordingRows], regressor: Regressor, joint: int
+) -> Solution | None:
     """Fit factor of the rigid bodies, viscous and dry friction and constant effort of one joint."""
     problem = _alone_problem(samples, regressor, joint)
     return None if problem is None else solve(problem)

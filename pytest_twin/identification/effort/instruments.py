@@ -19,14 +19,14 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.blocks import bootstrap_deviations, normal_equations
-from pytest_twin.identification.effort.filtering import Filter, low_passed, uniform
+from pytest_twin.identification.effort.filtering import Filter, low_passed, resample_uniformly
 from pytest_twin.identification.effort.least_squares import (
     LinearProblem,
     Solution,
     row_weights,
-    weighed,
+    weight_rows,
 )
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 
 _ITERATIONS = 3
 """Number of iterations of the row weights, starting from those of least squares."""
@@ -86,7 +86,7 @@ class Endogeneity:
         }
 
 
-def commanded_motion(recording: Measured, chosen: Filter) -> Measured | None:
+def commanded_motion(recording: MeasuredRecording, chosen: Filter) -> MeasuredRecording | None:
     """Return the recording with noise-free positions: the response of a linear servo to commands.
 
     position = a + b c + d dc/dt + e d2c/dt2 for each joint: gain, delay and lag of the servo to
@@ -98,7 +98,7 @@ def commanded_motion(recording: Measured, chosen: Filter) -> Measured | None:
     """
     if recording.command is None or not np.isfinite(recording.command).all():
         return None
-    even = uniform(recording)
+    even = resample_uniformly(recording)
     assert even.command is not None
     rate = recording.rate
     command = low_passed(even.command, chosen.parallel, rate)
@@ -132,7 +132,7 @@ def solve_instrumental(problem: LinearProblem, start: Solution) -> Solution:
     count = problem.matrix.shape[2]
     values, residual, weight, noise = start.values, start.residual, start.weight, start.noise
     for _ in range(_ITERATIONS):
-        values = _solved(problem, problem.instrument, weight)
+        values = _solve(problem, problem.instrument, weight)
         residual = np.where(problem.known, problem.effort - problem.matrix @ values, 0.0)
         weight, noise = row_weights(problem, residual, values)
     influence = _influence(problem, problem.instrument, weight)
@@ -140,7 +140,7 @@ def solve_instrumental(problem: LinearProblem, start: Solution) -> Solution:
     equations = normal_equations(problem, weight, problem.instrument)
     between = Z95 * bootstrap_deviations(*equations)
     half = np.maximum(Z95 * np.sqrt(np.diag(covariance)), between)
-    unit = weighed(problem.instrument, weight)
+    unit = weight_rows(problem.instrument, weight)
     unit = unit / np.maximum(np.linalg.norm(unit, axis=0), 1e-300)
     condition = float(np.linalg.cond(np.linalg.qr(unit, mode="r"))) if count else 1.0
     return Solution(values, covariance, noise, residual, weight, condition, half)
@@ -161,7 +161,7 @@ def endogeneity(
     """
     assert problem.instrument is not None
     weight = squares.weight
-    values = _solved(problem, problem.instrument, weight)
+    values = _solve(problem, problem.instrument, weight)
     influence = _influence(problem, problem.instrument, weight) - _influence(
         problem, problem.matrix, weight
     )
@@ -174,13 +174,13 @@ def endogeneity(
     return Endogeneity(
         float(np.sum(along**2 / own[sound])),
         int(sound.sum()),
-        (_explained(tested, squares), _explained(tested, instruments)),
+        (_explained_share(tested, squares), _explained_share(tested, instruments)),
     )
 
 
-def _solved(problem: LinearProblem, instrument: FloatArray, weight: FloatArray) -> FloatArray:
+def _solve(problem: LinearProblem, instrument: FloatArray, weight: FloatArray) -> FloatArray:
     """(b,) parameters of the weighted normal equations Z^T W x = Z^T y."""
-    z, w = weighed(instrument, weight), weighed(problem.matrix, weight)
+    z, w = weight_rows(instrument, weight), weight_rows(problem.matrix, weight)
     sizes = np.maximum(np.linalg.norm(w, axis=0), 1e-300)
     rows, right = z.T @ w, z.T @ (problem.effort * weight).ravel()
     scaled = rows / np.outer(sizes, sizes)
@@ -189,7 +189,7 @@ def _solved(problem: LinearProblem, instrument: FloatArray, weight: FloatArray) 
 
 def _influence(problem: LinearProblem, instrument: FloatArray, weight: FloatArray) -> FloatArray:
     """(b, n * joints) derivative of the estimate by each effort."""
-    z, w = weighed(instrument, weight), weighed(problem.matrix, weight)
+    z, w = weight_rows(instrument, weight), weight_rows(problem.matrix, weight)
     sizes = np.maximum(np.linalg.norm(w, axis=0), 1e-300)
     scaled = np.linalg.pinv((z.T @ w) / np.outer(sizes, sizes))
     return np.asarray((scaled / sizes[:, None]) @ (z / sizes).T * weight.ravel())
@@ -209,7 +209,7 @@ def _variance(influence: FloatArray, residual: FloatArray, problem: LinearProble
     return total
 
 
-def _explained(tested: LinearProblem, solution: Solution) -> float:
+def _explained_share(tested: LinearProblem, solution: Solution) -> float:
     """Fraction of the weighted squared residual that the instrument's columns explain."""
     assert tested.instrument is not None
     weight = np.where(tested.known & np.isfinite(solution.noise), 1.0, 0.0)
@@ -217,13 +217,15 @@ def _explained(tested: LinearProblem, solution: Solution) -> float:
         np.isfinite(solution.noise), solution.noise, 1.0
     ))  # fmt: skip
     residual = ((tested.effort - tested.matrix @ solution.values) * weight).ravel()
-    z = weighed(tested.instrument, weight)
+    z = weight_rows(tested.instrument, weight)
     basis, triangle = np.linalg.qr(z / np.maximum(np.linalg.norm(z, axis=0), 1e-300))
     sound = np.abs(np.diag(triangle)) > 1e-8
     return float(np.sum((basis[:, sound].T @ residual) ** 2))
 
 
-def instruments_of(recordings: Sequence[Measured], chosen: Filter) -> list[Measured] | None:
+def instruments_of(
+    recordings: Sequence[MeasuredRecording], chosen: Filter
+) -> list[MeasuredRecording] | None:
     """Return the commanded motion of every recording; None if one has none."""
     found = [one for each in recordings if (one := commanded_motion(each, chosen)) is not None]
     return found if len(found) == len(recordings) else None

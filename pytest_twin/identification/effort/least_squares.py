@@ -112,7 +112,7 @@ def linear_problem(
     )
 
 
-def moved_by(columns: FloatArray, problem: LinearProblem) -> NDArray[np.bool_]:
+def is_determined(columns: FloatArray, problem: LinearProblem) -> NDArray[np.bool_]:
     """(b,) True for parameters that a motion determines, for any noise.
 
     Args:
@@ -142,7 +142,7 @@ def solve(problem: LinearProblem, *, intervals: bool = True) -> Solution:
     values: FloatArray = np.zeros(count)
     for _ in range(_ITERATIONS):
         before = values
-        rows = weighed(problem.matrix, weight)
+        rows = weight_rows(problem.matrix, weight)
         # The triangle has the same solution and at most as many rows as columns.
         both = np.column_stack([rows, (problem.effort * weight).ravel()])
         triangle = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64).reshape(-1, count + 1)
@@ -163,7 +163,7 @@ def solve(problem: LinearProblem, *, intervals: bool = True) -> Solution:
     return Solution(values, covariance, noise, residual, weight, condition, half)
 
 
-def weighed(columns: FloatArray, weight: FloatArray) -> FloatArray:
+def weight_rows(columns: FloatArray, weight: FloatArray) -> FloatArray:
     """(n joints, b) rows of (n, joints, b) columns times (n, joints) weights; b may be 0."""
     instants, joints, count = columns.shape
     return np.asarray((columns * weight[..., None]).reshape(instants * joints, count))
@@ -259,7 +259,7 @@ def _uncertainty(
     scores, parts = [], []
     for k in range(int(owner.max()) + 1):
         mine = owner == k
-        rows = weighed(problem.matrix[mine], weight[mine])
+        rows = weight_rows(problem.matrix[mine], weight[mine])
         scores.append(rows.T @ (residual[mine] * weight[mine]).ravel())
         parts.append(rows.T @ rows)
     left_out = jackknife(np.array(scores), np.array(parts))

@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.input_mistakes import InputMistake
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.realization import Realization
 
 _OUTSIDE = 3.0
@@ -27,7 +27,7 @@ _FEWEST_PLATEAUS = 2
 
 
 def position_mistakes(
-    realization: Realization, recordings: Sequence[Measured], gears: Sequence[float]
+    realization: Realization, recordings: Sequence[MeasuredRecording], gears: Sequence[float]
 ) -> list[InputMistake]:
     """Return suspected mistakes in the positions of joints.
 
@@ -87,7 +87,7 @@ def _in_motion(steps: FloatArray, least: float) -> bool:
 
 
 def _too_wide(
-    realization: Realization, recordings: Sequence[Measured], k: int, gear: float
+    realization: Realization, recordings: Sequence[MeasuredRecording], k: int, gear: float
 ) -> InputMistake | None:
     """Return a suspicion if positions span far more than the joint's range."""
     joint = recordings[0].joints[k]

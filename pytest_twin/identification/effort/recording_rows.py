@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.identification.effort.filtering import Filter, Motion, decimated, differentiate
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.effort.filtering import Filter, Motion, decimate, differentiate
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.regressor import Regressor
 
 _EDGE = 1.0
@@ -48,10 +48,10 @@ class RecordingRows:
 
 
 def sample(
-    recordings: Sequence[Measured],
+    recordings: Sequence[MeasuredRecording],
     regressors: Sequence[Regressor],
     chosen: Filter,
-    commanded: Sequence[Measured] | None = None,
+    commanded: Sequence[MeasuredRecording] | None = None,
 ) -> list[RecordingRows]:
     """Rows of every recording.
 
@@ -62,7 +62,7 @@ def sample(
         commanded: the same recordings with noise-free motion, for an instrument.
     """
     motions = [differentiate(one, chosen) for one in recordings]
-    rest = _rest(motions)
+    rest = _rest_speeds(motions)
     rows = [
         _rows(one, motion, regressor, chosen, rest)
         for one, motion, regressor in zip(recordings, motions, regressors, strict=True)
@@ -76,7 +76,7 @@ def sample(
 
 
 def encoder_slopes(
-    recordings: Sequence[Measured],
+    recordings: Sequence[MeasuredRecording],
     regressor: Regressor,
     chosen: Filter,
     parameters: Sequence[FloatArray],
@@ -94,7 +94,7 @@ def encoder_slopes(
         the scales; rows as in :func:`sample`, the last index is the joint of the encoder.
     """
     motions = [differentiate(one, chosen) for one in recordings]
-    rest = _rest(motions)
+    rest = _rest_speeds(motions)
     zeros, scales = [], []
     for motion, own in zip(motions, parameters, strict=True):
         moving = _moving(motion, rest)
@@ -112,27 +112,31 @@ def encoder_slopes(
     return np.concatenate(zeros), np.concatenate(scales)
 
 
-def _rest(motions: Sequence[Motion]) -> FloatArray:
+def _rest_speeds(motions: Sequence[Motion]) -> FloatArray:
     """(joints,) speeds below which the direction of dry friction is unknown."""
     fastest = np.max([np.abs(m.velocity).max(axis=0) for m in motions], axis=0)
     return np.asarray(np.maximum(_REST * fastest, 1e-9))
 
 
 def _rows(
-    recording: Measured, motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray
+    recording: MeasuredRecording,
+    motion: Motion,
+    regressor: Regressor,
+    chosen: Filter,
+    rest: FloatArray,
 ) -> RecordingRows:
-    velocity = decimated(motion.velocity, motion.rate, chosen)
+    velocity = decimate(motion.velocity, motion.rate, chosen)
     top = np.abs(motion.effort) >= 0.98 * recording.limit
     inner = _inner(len(velocity), chosen)
-    effort = motion.effort + _known(recording, motion, rest)
+    effort = motion.effort + _known_efforts(recording, motion, rest)
     return RecordingRows(
         name=recording.path.name,
         time=motion.time[:: max(1, round(motion.rate / chosen.rate))][inner],
         matrix=_matrix(motion, regressor, chosen, rest),
-        effort=decimated(effort, motion.rate, chosen)[inner],
+        effort=decimate(effort, motion.rate, chosen)[inner],
         velocity=velocity[inner],
         resting=(np.abs(velocity) <= rest)[inner],
-        saturated=(decimated(top.astype(np.float64), motion.rate, chosen) > 0.01)[inner],
+        saturated=(decimate(top.astype(np.float64), motion.rate, chosen) > 0.01)[inner],
     )
 
 
@@ -141,7 +145,7 @@ def _moving(motion: Motion, rest: FloatArray) -> FloatArray:
     return np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
 
 
-def _known(recording: Measured, motion: Motion, rest: FloatArray) -> FloatArray:
+def _known_efforts(recording: MeasuredRecording, motion: Motion, rest: FloatArray) -> FloatArray:
     """(n, joints) known efforts; 0 where the effort is a current of unknown torque constant."""
     if recording.known is None:
         return np.zeros_like(motion.effort)
@@ -158,7 +162,7 @@ def _matrix(motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArr
 
 def inner_rows(values: FloatArray, motion: Motion, chosen: Filter) -> FloatArray:
     """Decimate (n, ...) values to the rate of the fit and cut off the edges."""
-    found = decimated(values, motion.rate, chosen)
+    found = decimate(values, motion.rate, chosen)
     return np.asarray(found[_inner(len(found), chosen)])
 
 

@@ -14,12 +14,12 @@ from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.effects.base import si_unit
 from pytest_twin.identification.effort.delay import without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
-from pytest_twin.identification.effort.effort_scale import scaled
-from pytest_twin.identification.effort.filtering import Filter, differentiate, uniform
+from pytest_twin.identification.effort.effort_scale import divide_by_scales
+from pytest_twin.identification.effort.filtering import Filter, differentiate, resample_uniformly
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
 from pytest_twin.identification.effort.recording_rows import inner_rows
-from pytest_twin.identification.measured_recordings import Measured
+from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.inputs import LINEAR_GAINS, joint_inputs
@@ -95,7 +95,10 @@ class ServoGains:
 
 
 def servo_gains(
-    realization: Realization, recordings: Sequence[Measured], found: EffortResult, signals: Signals
+    realization: Realization,
+    recordings: Sequence[MeasuredRecording],
+    found: EffortResult,
+    signals: Signals,
 ) -> list[ServoGains]:
     """Fit the gains of the model's position servos to effort and tracking error.
 
@@ -111,7 +114,7 @@ def servo_gains(
     declared = {} if realization.twin is None else realization.twin.controllers
     recordings = [one for one in recordings if one.metadata.get("controller") not in declared]
     used = {joint: s for joint, s in found.scales.items() if s.is_significant}
-    right = scaled(as_torques(recordings, found.gains), used)
+    right = divide_by_scales(as_torques(recordings, found.gains), used)
     if found.delay is not None:
         right = without_delay(right, found.delay.value, found.delay.name)
     right = tuple(one for one in right if one.command is not None)
@@ -121,7 +124,7 @@ def servo_gains(
         shared = signals.of(joint).shared is not None
         if servo is None or shared or any(one.unscaled[k] for one in right):
             continue
-        fit = _fitted(realization, right, k, found.filter)
+        fit = _fit_gains(realization, right, k, found.filter)
         if fit is not None:
             (stiffness, damping), half, misfit = fit
             model = realization.model
@@ -151,8 +154,8 @@ def _servo(realization: Realization, joint: str) -> int | None:
     return servos[0] if len(servos) == 1 else None
 
 
-def _fitted(
-    realization: Realization, recordings: Sequence[Measured], k: int, chosen: Filter
+def _fit_gains(
+    realization: Realization, recordings: Sequence[MeasuredRecording], k: int, chosen: Filter
 ) -> tuple[tuple[float, float], tuple[float, float], float] | None:
     """Return stiffness and damping of one joint, their half widths and the misfit, or None.
 
@@ -161,7 +164,7 @@ def _fitted(
     encoders = Encoders.of(calibration_of(realization), recordings[0].joints)
     columns, efforts, known = [], [], []
     for one in recordings:
-        even = uniform(one)
+        even = resample_uniformly(one)
         assert even.command is not None
         command = encoders.model_position(even.command)
         if not np.isfinite(command[:, k]).all() or not np.isfinite(even.effort[:, k]).all():
@@ -199,11 +202,11 @@ def _fitted(
     late = abs(float(solution.values[2])) - float(solution.half_width[2])
     late = max(late - period * float(stiffness), 0.0)
     late *= float(matrix[seen[:, 0], 0, 2].std())
-    misfit = float(np.hypot(_systematic(problem, law), late)) / spread
+    misfit = float(np.hypot(_systematic_deviation(problem, law), late)) / spread
     return (float(stiffness), float(damping)), (float(half[0]), float(half[1])), misfit
 
 
-def _systematic(problem: LinearProblem, law: FloatArray) -> float:
+def _systematic_deviation(problem: LinearProblem, law: FloatArray) -> float:
     """Return the deviation of the residual's part that another law would explain, without noise.
 
     It is the variance between groups of rows with a similar effort of the law and the same

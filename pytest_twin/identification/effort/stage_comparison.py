@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
-from pytest_twin.identification.effort.essential_parameters import Essential
+from pytest_twin.identification.effort.essential_parameters import EssentialParameters
 from pytest_twin.identification.effort.groups import EXCLUDES
 from pytest_twin.identification.effort.least_squares import (
     LinearProblem,
@@ -44,7 +44,7 @@ class EffortError:
 def compare_stages(
     problem: LinearProblem,
     tested: LinearProblem,
-    fitted: Essential,
+    fitted: EssentialParameters,
     stage_of: Sequence[StageName],
     prior: FloatArray,
     base: BaseParameters,
@@ -86,8 +86,8 @@ def compare_stages(
         )  # fmt: skip
         before[others] = solve(rest, intervals=False).values
         one = HeldOut(
-            _weighted(tested, before, fitted.solution, dry),
-            _weighted(tested, fitted.values, fitted.solution, dry),
+            _weighted_rms(tested, before, fitted.solution, dry),
+            _weighted_rms(tested, fitted.values, fitted.solution, dry),
             "standard deviations of the fit",
         )
         why = "" if held_out else "nothing is held out, the error is that of what was fitted"
@@ -99,7 +99,7 @@ def compare_stages(
 def with_data(
     stages: Sequence[Stage],
     problem: LinearProblem,
-    fitted: Essential,
+    fitted: EssentialParameters,
     stage_of: Sequence[StageName],
     recordings: Sequence[str],
 ) -> tuple[Stage, ...]:
@@ -123,7 +123,7 @@ def with_data(
 
 
 def accepted_values(
-    fitted: Essential,
+    fitted: EssentialParameters,
     stages: Sequence[Stage],
     stage_of: Sequence[StageName],
     prior: FloatArray,
@@ -143,7 +143,7 @@ def parameter_name(base: BaseParameters, at: int) -> str:
     return base.names[at] if alone else base.expressions[at]
 
 
-def _weighted(
+def _weighted_rms(
     problem: LinearProblem, values: FloatArray, fitted: Solution, dry: FloatArray
 ) -> float:
     """Root mean square of the residuals, divided by the fit's noise of each joint.

@@ -90,7 +90,7 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
 
     slow = 0.0 if kind == IMU else _filter(solved)
     found = solved(slow)
-    names, values, units, covariance, freedom = _flat(found, groups, axes)
+    names, values, units, covariance, freedom = _flatten(found, groups, axes)
     if slow > 0.0:
         deviation = _filter_deviation(true_at, slow, found[0], reading, blocks)
         names.append("sensor_filter_time")
@@ -117,7 +117,7 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
         kind, axes, tuple(unit_of(axis) for axis in axes),
         tuple(names), values, tuple(units), covariance,
         np.asarray(student.ppf(0.975, freedom)),
-        tuple(_undetermined(found, groups, axes)), fields, nominal, error,
+        tuple(_undetermined_parameters(found, groups, axes)), fields, nominal, error,
     )  # fmt: skip
 
 
@@ -200,7 +200,7 @@ def _filter_deviation(
     return float(np.sqrt(count / (count - 1) * np.sum(sums**2)) / max(information, 1e-300))
 
 
-def _flat(
+def _flatten(
     found: Sequence[Linear], groups: Sequence[tuple[int, ...]], axes: Sequence[str]
 ) -> tuple[list[str], FloatArray, list[str], FloatArray, FloatArray]:
     """Return names, values and units of the parameters of all channels, and their uncertainty.
@@ -241,7 +241,7 @@ def _determined_channels(one: Linear) -> FloatArray:
     return reached
 
 
-def _undetermined(
+def _undetermined_parameters(
     found: Sequence[Linear], groups: Sequence[tuple[int, ...]], axes: Sequence[str]
 ) -> list[str]:
     words = []

@@ -15,6 +15,7 @@ from pytest_twin import __version__
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.sensor_record import CAMERA, IMU, JOINT_TORQUE
 from pytest_twin.identification.records import verdict_of
+from pytest_twin.identification.roles import ONE_HELD_OUT_OF
 from pytest_twin.identification.sensing.camera_frames import CameraTrial
 from pytest_twin.identification.sensing.estimate import (
     SensorEstimate,
@@ -33,8 +34,6 @@ from pytest_twin.sensors.imu import noise_of
 from pytest_twin.trial.roles import FINAL, HELD_OUT, refuse_final
 
 _Trial = SensorTrial | CameraTrial
-_ONE_HELD_OUT_OF = 4
-"""One recording of so many is held out if no role is given."""
 _STILL = 0.005
 """Largest angular speed at the sensor, rad/s, of a recording at rest."""
 _MOTION = (
@@ -89,7 +88,7 @@ def identify_sensors(
         names = {
             "fit": [one.path.name for one in fit], "held_out": [one.path.name for one in tested],
         }  # fmt: skip
-        found = _estimated(fit, tested, sensor)
+        found = _estimate_of(fit, tested, sensor)
         own = [f"{sensor.name}.{name}" for name in found.names]
         before, after = _total(found.nominal, found), _total(found.error, found)
         stage = Stage(
@@ -178,7 +177,7 @@ def _by_role(
     if not tested:
         tested = [one for one in fit if one.role == HELD_OUT]
         if not tested and len(fit) > 1:
-            tested = fit[-max(1, len(fit) // _ONE_HELD_OUT_OF) :]
+            tested = fit[-max(1, len(fit) // ONE_HELD_OUT_OF) :]
             names = ", ".join(one.path.name for one in tested)
             notes.append(f"held out (chosen automatically): {names}; choose with --held-out")
         fit = [one for one in fit if all(one is not other for other in tested)]
@@ -197,7 +196,7 @@ def _total(errors: np.ndarray, found: SensorEstimate) -> float:
     return float(np.sqrt(np.mean((errors / np.maximum(found.nominal, 1e-300)) ** 2)))
 
 
-def _estimated(
+def _estimate_of(
     fit: Sequence[_Trial], tested: Sequence[_Trial], sensor: NamedSensor
 ) -> SensorEstimate:
     linear = [[one for one in part if isinstance(one, SensorTrial)] for part in (fit, tested)]

@@ -1,4 +1,4 @@
-"""A sensor's readings beside what an ideal sensor at its frame would read."""
+"""Read a sensor's recordings, with the readings of an ideal sensor along the same motion."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class NamedSensor:
     """A sensor that a user named.
 
     Attributes:
-        name: of the sensor.
-        topic: of its readings.
-        frame: site or body of the model in whose axes it reads; a joint for a joint torque sensor.
+        name: name of the sensor, as its record calls it.
+        topic: topic of its readings.
+        frame: site or body in whose axes it reads; for a joint torque sensor, the joint.
     """
 
     name: str
@@ -53,13 +53,13 @@ class SensorTrial:
 
     Attributes:
         path: the recording.
-        period: s between samples.
-        reading: (n, k) as recorded.
-        smoothed: (n, k) low-passed as the motion was.
-        true: (n, k) of an ideal sensor along the smoothed motion.
+        period: time between samples, s.
+        reading: (n, k) recorded readings, in the SI units of the sensor's kind.
+        smoothed: (n, k) readings with the low-pass filter of the motion.
+        true: (n, k) readings of an ideal sensor along the smoothed motion.
         kind: ``force_torque``, ``imu`` or ``joint_torque``.
         is_slide: whether a joint torque sensor is on a slide.
-        role: what the recording says of itself.
+        role: role in the recording's metadata, such as ``held_out``; None without one.
         steps: joint -> quantization of its encoder, rad or m; joints that show none are left out.
     """
 
@@ -81,17 +81,18 @@ def read_sensor(
     state: str,
     motion: JointSeries | None = None,
 ) -> SensorTrial | CameraTrial:
-    """Readings of a sensor and the true signal beside them.
+    """Read a sensor's readings, and compute those of an ideal sensor along the same motion.
 
     Args:
         path: MCAP file, rosbag2 folder or ``.db3`` file.
         sensor: its topic and frame.
         realization: the model, with the payload that the recording names.
         state: topic of the joint states.
-        motion: joint states to take in place of the measured ones, such as predicted ones.
+        motion: joint states that replace the measured ones, such as predicted ones.
 
     Raises:
-        RecordingError: no readings, no positions, or too little of both at once.
+        RecordingError: there are no readings or no positions, or both overlap for less than
+            100 samples.
     """
     at_joint = sensor.frame in realization.joints
     topics = {"state": state, **({"load": sensor.topic} if at_joint else {})}
@@ -112,7 +113,7 @@ def read_sensor(
         poses = bag.poses[sensor.topic]
         stamps = np.array([one.stamp for one in poses], dtype=np.int64)
         values = np.array([one.values for one in poses])
-        names = _known(joints, realization)
+        names = _recorded_joints(joints, realization)
         found = frames_seen(path, sensor.frame, stamps, values, joints, names, realization)
         return replace(found, role=role, steps=steps)
     loads = bag.readers["load"].finish() if at_joint else None
@@ -193,7 +194,7 @@ def _steps(series: JointSeries) -> dict[str, float]:
 
 
 def _in_model(series: JointSeries, realization: Realization) -> JointSeries:
-    """The positions as the model counts them, by the twin's calibration."""
+    """Convert encoder readings to joint positions of the model, by the twin's calibration."""
     assert series.position is not None
     encoders = Encoders.of(calibration_of(realization), series.names)
     return replace(series, position=encoders.model_position(series.position))
@@ -204,7 +205,7 @@ def _positions(
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Joints of the model that were recorded, and (n, j) positions on a grid."""
     assert series.position is not None
-    names = _known(series, realization)
+    names = _recorded_joints(series, realization)
     _, rows = np.unique(moved, return_index=True)
     columns = []
     for name in names:
@@ -214,7 +215,7 @@ def _positions(
     return names, np.column_stack(columns)
 
 
-def _known(series: JointSeries, realization: Realization) -> tuple[str, ...]:
+def _recorded_joints(series: JointSeries, realization: Realization) -> tuple[str, ...]:
     """Joints of the model that were recorded."""
     names = tuple(name for name in series.names if name in realization.joints)
     if not names:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.effort.input_mistakes import InputMistake
-from pytest_twin.metrics.recorded_frequency import uniform
+from pytest_twin.metrics.recorded_frequency import resample_uniformly
 from pytest_twin.trial import Trial
 
 _FOLLOWS = 0.7
@@ -75,7 +75,7 @@ def _pair(trial: Trial, joint: str) -> tuple[float, FloatArray, FloatArray] | No
     known = np.isfinite(command) & np.isfinite(position)
     if known.sum() < 2:
         return None
-    rate, (asked, moved) = uniform(trial.time[known], command[known], position[known])
+    rate, (asked, moved) = resample_uniformly(trial.time[known], command[known], position[known])
     return rate, asked - asked.mean(), moved - moved.mean()
 
 

@@ -13,7 +13,7 @@ from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
 from pytest_twin.identification.motions import undetermined_by_command
-from pytest_twin.identification.records import correlated, verdict_of
+from pytest_twin.identification.records import correlated_pairs, verdict_of
 from pytest_twin.identification.simulation.command_mistakes import command_mistakes
 from pytest_twin.identification.simulation.identify import SimulationResult
 from pytest_twin.identification.simulation.passive_joints import impossible
@@ -40,7 +40,7 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
         "stages": [stage.to_json() for stage in result.stages],
         "parameters": parameters,
         "covariance": {"names": names, "matrix": covariance.tolist()},
-        "correlated": correlated(names, covariance),
+        "correlated": correlated_pairs(names, covariance),
         "base_parameters": [],
         "held_out": {
             joint: {

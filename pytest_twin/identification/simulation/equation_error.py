@@ -47,7 +47,9 @@ def first_values(problem: Problem) -> FloatArray:
     found = np.full((len(problem.joints), 5), np.nan)
     for joint, parts in enumerate(rows):
         if parts:
-            found[joint] = _solved(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+            found[joint] = _solve_robustly(
+                *(np.concatenate(each) for each in zip(*parts, strict=True))
+            )
     return found
 
 
@@ -123,16 +125,25 @@ def _inverse_dynamics(
     return found
 
 
-def _solved(rows: FloatArray, effort: FloatArray, limits: FloatArray) -> FloatArray:
-    """Gain over the model's, and what is added to it; robust by iterated weights (Huber).
+def _solve_robustly(rows: FloatArray, effort: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return the five values of a joint, by iteratively reweighted least squares (Huber).
 
-    Rows at which the drive is at its limit show no gain. Which these are depends on the gain: a
-    stiff model of a soft drive would be at its limit nearly always. So they are chosen again under
-    each gain that is found, from the model's own, or from all rows where that leaves less than
-    half.
+    A saturated drive does not show its gain, so its rows are left out. Which rows are saturated
+    depends on the gain: in a model that is too stiff, nearly all of them. So they are determined
+    again for each estimate of the gain. The first iteration uses the model's gain, or all rows if
+    less than half are unsaturated with it.
+
+    Args:
+        rows: (n, 5) inverse dynamics, velocity, direction of motion, acceleration and 1.
+        effort: (n,) effort of the model's drive law without limits, N*m or N.
+        limits: (n, 2) effort above and below which the drive is saturated, N*m or N.
+
+    Returns:
+        (5,) as :func:`first_values`; NaN if too few rows are unsaturated, or the gain is larger
+        than ``_LARGEST_GAIN``.
     """
     none = np.full(5, np.nan)
-    use = _within(effort, limits)
+    use = _is_unsaturated(effort, limits)
     if use.mean() < 0.5:
         use[:] = True
     weight = np.ones(len(rows))
@@ -150,9 +161,9 @@ def _solved(rows: FloatArray, effort: FloatArray, limits: FloatArray) -> FloatAr
         off = np.abs(effort - rows @ values)
         scale = 1.4826 * float(np.median(off[use])) + 1e-12
         weight = np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(off, 1e-12)))
-        use = _within(effort / values[0], limits)
+        use = _is_unsaturated(effort / values[0], limits)
     return np.array([1.0 / values[0], *(values[1:] / values[0])])
 
 
-def _within(effort: FloatArray, limits: FloatArray) -> NDArray[np.bool_]:
+def _is_unsaturated(effort: FloatArray, limits: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((effort > limits[:, 0]) & (effort < limits[:, 1]))

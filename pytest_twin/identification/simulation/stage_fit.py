@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.fit import Fitted, finite_differences, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import at_zero
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.identification.paired_test import paired
+from pytest_twin.identification.paired_test import compare_paired
 from pytest_twin.identification.simulation.passive_joints import (
     LargestBackEmf,
     has_excessive_back_emf,
@@ -57,10 +57,10 @@ def fit_best_start(problem: Problem, starts: Sequence[Hypothesis]) -> Hypothesis
         tried = _fit(problem, apart, weights, _FIRST_ITERATIONS)
         apart = [min(tried, key=lambda one: one.cost).hypothesis]
     (found,) = _fit(problem, apart, weights, ITERATIONS)
-    return refitted(problem, with_possible_totals(problem, found.hypothesis))
+    return refit(problem, with_possible_totals(problem, found.hypothesis))
 
 
-def refitted(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+def refit(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
     """Fit a hypothesis again with the discretization error of the simulator at its parameters.
 
     That error depends on the motion: at the limit of a drive it is not that of the model's motion.
@@ -78,7 +78,7 @@ def fit_to_convergence(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
     a long valley, along which the discretization error changes.
     """
     for _ in range(_ROUNDS):
-        found = refitted(problem, hypothesis)
+        found = refit(problem, hypothesis)
         moved = np.abs(found.theta - hypothesis.theta)
         hypothesis = found
         if (moved <= _SETTLED * found.sizes).all():
@@ -130,7 +130,9 @@ def add_effects(
     untried = [name for name in effects if name not in present and terms_at([name], modes)]
     while untried:
         here = problem.at(base)
-        stepped = _try_one_step(here, base, {n: _added(base, n, modes) for n in untried})
+        stepped = _try_one_step(
+            here, base, {n: _with_effect_at_all_joints(base, n, modes) for n in untried}
+        )
         untried = [name for name in untried if name in stepped]
         if not untried:
             break
@@ -140,7 +142,7 @@ def add_effects(
         tried = _fit(here, starts, weights, ITERATIONS)
         best = min(range(len(tried)), key=lambda k: tried[k].cost)
         untried.remove(best_of_step[best])
-        better = refitted(problem, with_possible_totals(problem, tried[best].hypothesis))
+        better = refit(problem, with_possible_totals(problem, tried[best].hypothesis))
         merged = take_better_terms(problem, base, better)
         if set(merged.terms) != set(base.terms):
             base = merged
@@ -155,11 +157,11 @@ def take_better_terms(problem: Problem, before: Hypothesis, after: Hypothesis) -
     """
     errors = [_in_floors(problem, h) for h in (before, after)]
     lengths = problem.lengths(problem.tested)
-    whole = paired(errors[0], errors[1], lengths).is_significant
+    whole = compare_paired(errors[0], errors[1], lengths).is_significant
     chosen: dict[Term, FloatArray] = {}
     for joint in range(-1, len(problem.joints)):
         columns = slice(None) if joint < 0 else slice(joint, joint + 1)
-        own = paired(errors[0][:, columns], errors[1][:, columns], lengths)
+        own = compare_paired(errors[0][:, columns], errors[1][:, columns], lengths)
         source = after if (whole if joint < 0 else own.is_significant) else before
         for term in source.terms:
             if term.joint == joint:
@@ -228,7 +230,9 @@ def _try_one_step(
     return {n: one for n, one in best.items() if one.cost < (1.0 - LEAST_GAIN) * here.cost}
 
 
-def _added(base: Hypothesis, name: str, modes: Sequence[str]) -> list[Hypothesis]:
+def _with_effect_at_all_joints(
+    base: Hypothesis, name: str, modes: Sequence[str]
+) -> list[Hypothesis]:
     """Return the base with an effect at all its joints, one hypothesis for each starting value.
 
     The effect replaces its special cases in the base. Starts are needed from the base and from the

@@ -102,7 +102,7 @@ class StagedFit:
 
     def _stage(self, name: StageName, frozen: Hypothesis) -> tuple[Stage, Hypothesis]:
         """Fit one stage with the frozen terms of other stages; return its accepted terms."""
-        outside_mjcf = (*self.given.outside_mjcf, *applied(self._problem, frozen))
+        outside_mjcf = (*self.given.outside_mjcf, *applied_effects(self._problem, frozen))
         problem = (
             replace(self.given, outside_mjcf=outside_mjcf)
             .prepared(
@@ -259,7 +259,7 @@ def place_of(problem: Problem, term: Term) -> str:
     return "robot" if term.joint < 0 else problem.joints[term.joint]
 
 
-def applied(problem: Problem, hypothesis: Hypothesis) -> tuple[AppliedEffect, ...]:
+def applied_effects(problem: Problem, hypothesis: Hypothesis) -> tuple[AppliedEffect, ...]:
     """The terms of a hypothesis as effects with SI values."""
     found = []
     for term in hypothesis.terms:

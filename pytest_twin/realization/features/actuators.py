@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 
 from pytest_twin.realization.features.canonical import (
-    listed,
+    as_list,
     number,
     value_of,
 )
@@ -43,20 +43,20 @@ def actuator(elements: Elements, actuator: int) -> dict[str, Any]:
         "transmission": trn(kind).name.removeprefix("mjTRN_").lower(),
         "target": [elements.object(obj, i) for i in ends],
         "sites": [site(elements, i) for i in ends if obj == int(OBJ.mjOBJ_SITE) and i >= 0],
-        "gear": listed(model.actuator_gear[outputs]),
-        "length range": listed(model.actuator_lengthrange[outputs]),
+        "gear": as_list(model.actuator_gear[outputs]),
+        "length range": as_list(model.actuator_lengthrange[outputs]),
         "control range": [
-            listed(limits) if limited else None
+            as_list(limits) if limited else None
             for limited, limits in zip(
                 model.actuator_ctrllimited[controls],
                 model.actuator_ctrlrange[controls],
                 strict=True,
             )
         ],
-        "force range": listed(model.actuator_forcerange[actuator])
+        "force range": as_list(model.actuator_forcerange[actuator])
         if model.actuator_forcelimited[actuator]
         else None,
-        "activation range": listed(model.actuator_actrange[actuator])
+        "activation range": as_list(model.actuator_actrange[actuator])
         if model.actuator_actlimited[actuator]
         else None,
         "delay [s]": number(model.actuator_delay[actuator]),

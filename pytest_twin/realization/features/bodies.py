@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.realization.features.canonical import (
-    listed,
+    as_list,
+    as_rounded_list,
     number,
     one_or_listed,
     rotation_of,
-    rounded,
     tensor_of,
     with_unit,
 )
@@ -32,14 +32,14 @@ def kinematics(elements: Elements, body: int) -> dict[str, Any]:
             {
                 "name": elements.joint[joint],
                 "type": kind,
-                "anchor [m]": rounded(model.jnt_pos[joint]),
-                "axis": rounded(model.jnt_axis[joint]),
-                "reference": rounded(model.qpos0[at : at + QPOS[kind]]),
+                "anchor [m]": as_rounded_list(model.jnt_pos[joint]),
+                "axis": as_rounded_list(model.jnt_axis[joint]),
+                "reference": as_rounded_list(model.qpos0[at : at + QPOS[kind]]),
             }
         )
     return {
         "parent": elements.body[int(model.body_parentid[body])],
-        "position [m]": rounded(model.body_pos[body]),
+        "position [m]": as_rounded_list(model.body_pos[body]),
         "quaternion": rotation_of(model.body_quat[body]),
         "mocap": bool(model.body_mocapid[body] >= 0),
         "joints": joints,
@@ -51,13 +51,13 @@ def inertia(elements: Elements, body: int) -> dict[str, Any]:
     model = elements.model
     content: dict[str, Any] = {
         "mass [kg]": float(model.body_mass[body]),
-        "centre of mass [m]": rounded(model.body_ipos[body]),
+        "centre of mass [m]": as_rounded_list(model.body_ipos[body]),
         "inertia [kg*m^2]": tensor_of(model.body_iquat[body], model.body_inertia[body]),
         "gravity compensation": float(model.body_gravcomp[body]),
     }
     start = int(model.body_geomadr[body])
     fluid = [
-        {"fluid": listed(model.geom_fluid[g]), **shape(elements, g)}
+        {"fluid": as_list(model.geom_fluid[g]), **shape(elements, g)}
         for g in range(start, start + int(model.body_geomnum[body]))
         if np.any(model.geom_fluid[g])
     ]
@@ -79,19 +79,19 @@ def joint(elements: Elements, joint: int) -> dict[str, Any]:
     forces = bool(model.jnt_actfrclimited[joint])
     return {
         with_unit("damping", rate): one_or_listed(model.dof_damping[dofs]),
-        "damping polynomial": listed(model.dof_dampingpoly[dofs]),
+        "damping polynomial": as_list(model.dof_dampingpoly[dofs]),
         with_unit("friction loss", torque): one_or_listed(model.dof_frictionloss[dofs]),
         with_unit("armature", inertia): one_or_listed(model.dof_armature[dofs]),
-        "friction solref": listed(model.dof_solref[dofs]),
-        "friction solimp": listed(model.dof_solimp[dofs]),
+        "friction solref": as_list(model.dof_solref[dofs]),
+        "friction solimp": as_list(model.dof_solimp[dofs]),
         with_unit("stiffness", spring): float(model.jnt_stiffness[joint]),
-        "stiffness polynomial": listed(model.jnt_stiffnesspoly[joint]),
-        "spring reference": rounded(model.qpos_spring[at : at + QPOS[kind]]),
+        "stiffness polynomial": as_list(model.jnt_stiffnesspoly[joint]),
+        "spring reference": as_rounded_list(model.qpos_spring[at : at + QPOS[kind]]),
         "spring yield": number(model.jnt_springyield[joint]),
-        "limit solref": listed(model.jnt_solref[joint]),
-        "limit solimp": listed(model.jnt_solimp[joint]),
+        "limit solref": as_list(model.jnt_solref[joint]),
+        "limit solimp": as_list(model.jnt_solimp[joint]),
         "limit margin": float(model.jnt_margin[joint]),
-        with_unit("actuator force range", torque): listed(model.jnt_actfrcrange[joint])
+        with_unit("actuator force range", torque): as_list(model.jnt_actfrcrange[joint])
         if forces
         else None,
         "gravity compensation by actuators": bool(model.jnt_actgravcomp[joint]),
@@ -105,7 +105,7 @@ def limit(elements: Elements, joint: int, velocity_limit: Mapping[str, float]) -
     limited = bool(model.jnt_limited[joint])
     unit = "m" if slide else "rad"
     content: dict[str, Any] = {
-        f"range [{unit}]": rounded(model.jnt_range[joint]) if limited else None
+        f"range [{unit}]": as_rounded_list(model.jnt_range[joint]) if limited else None
     }
     speed = velocity_limit.get(elements.joint[joint])
     if speed is not None:

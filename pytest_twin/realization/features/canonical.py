@@ -22,30 +22,30 @@ def number(value: Any) -> float | str:
     return number if math.isfinite(number) else str(number)
 
 
-def listed(array: Any) -> Any:
+def as_list(array: Any) -> Any:
     """An array as nested lists of numbers."""
     array = np.asarray(array)
     if array.ndim > 1:
-        return [listed(row) for row in array]
+        return [as_list(row) for row in array]
     return [number(value) for value in array]
 
 
 def one_or_listed(array: Any) -> Any:
     """A single number, or a list of several numbers."""
-    values = listed(array)
+    values = as_list(array)
     return values[0] if len(values) == 1 else values
 
 
-def rounded(array: Any) -> Any:
+def as_rounded_list(array: Any) -> Any:
     """Positions (m), axes and joint values, rounded to 1e-12; smaller digits depend on notation."""
-    return listed(np.round(np.asarray(array, dtype=np.float64), 12) + 0.0)
+    return as_list(np.round(np.asarray(array, dtype=np.float64), 12) + 0.0)
 
 
 def rotation_of(quaternion: NDArray[np.float64]) -> Any:
     """The quaternion of a rotation whose first non-zero component is positive, rounded to 1e-12."""
     rounded = np.round(quaternion, 12)
     first = rounded[np.flatnonzero(rounded)[:1]]
-    return listed(rounded * (-1.0 if first.size and first[0] < 0 else 1.0) + 0.0)
+    return as_list(rounded * (-1.0 if first.size and first[0] < 0 else 1.0) + 0.0)
 
 
 def tensor_of(quaternion: NDArray[np.float64], diagonal: NDArray[np.float64]) -> Any:
@@ -56,7 +56,7 @@ def tensor_of(quaternion: NDArray[np.float64], diagonal: NDArray[np.float64]) ->
     tensor = rotation @ np.diag(diagonal) @ rotation.T
     scale = float(np.abs(tensor).max()) or 1.0
     values = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    return listed((np.round(values / scale, 10) + 0.0) * scale)
+    return as_list((np.round(values / scale, 10) + 0.0) * scale)
 
 
 def rows_of_element(
@@ -80,7 +80,7 @@ def value_of(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         if value.size > 16 or value.dtype.kind not in "fiub":
             return {"shape": list(value.shape), "sha256": digest_of(value)}
-        return listed(value)
+        return as_list(value)
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):

@@ -8,8 +8,8 @@ from typing import Any
 import mujoco
 
 from pytest_twin.realization.features.canonical import (
-    listed,
-    rounded,
+    as_list,
+    as_rounded_list,
     value_of,
 )
 from pytest_twin.realization.features.elements import OBJ, Elements
@@ -30,9 +30,9 @@ def couplings(elements: Elements) -> Iterable[tuple[str, dict[str, Any]]]:
                 "object type": obj,
                 "sites": [site(elements, i) for i in ends if obj == int(OBJ.mjOBJ_SITE) and i >= 0],
                 "active": bool(model.eq_active0[eq]),
-                "data": listed(model.eq_data[eq]),
-                "solref": listed(model.eq_solref[eq]),
-                "solimp": listed(model.eq_solimp[eq]),
+                "data": as_list(model.eq_data[eq]),
+                "solref": as_list(model.eq_solref[eq]),
+                "solimp": as_list(model.eq_solimp[eq]),
             },
         )
     for t in range(model.ntendon):
@@ -66,9 +66,9 @@ def tendon(elements: Elements, tendon: int) -> dict[str, Any]:
     return {
         "path": path,
         "tendon type": int(model.tendon_type[tendon]),
-        "range": listed(model.tendon_range[tendon]) if limited else None,
-        "actuator force range": listed(model.tendon_actfrcrange[tendon]) if forces else None,
-        "spring length": rounded(model.tendon_lengthspring[tendon]),
+        "range": as_list(model.tendon_range[tendon]) if limited else None,
+        "actuator force range": as_list(model.tendon_actfrcrange[tendon]) if forces else None,
+        "spring length": as_rounded_list(model.tendon_lengthspring[tendon]),
         **{
             name: value_of(getattr(model, f"tendon_{name}")[tendon])
             for name in (

@@ -67,7 +67,7 @@ class Elements:
         self._geoms: dict[int, list[int]] = {}
         for geom in np.flatnonzero(self.can_collide):
             self._geoms.setdefault(int(model.geom_bodyid[geom]), []).append(int(geom))
-        # Visual geoms are indexed_names apart, so that they do not change the names of the others.
+        # Visual geoms are numbered separately, so that they do not change the names of the others.
         owners = [
             f"{self.body[b]}" if can_collide else f"{self.body[b]}~"
             for b, can_collide in zip(model.geom_bodyid, self.can_collide, strict=True)

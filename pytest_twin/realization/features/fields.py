@@ -457,7 +457,7 @@ def layer_of(field: str, model: Any) -> str | None:
         return None
     if field.startswith((*_VISUAL_FAMILIES, *_ADDRESS_FAMILIES)):
         return None
-    # Counts are determined by the indexed_names elements.
+    # Counts follow from the named elements, which are parts themselves.
     if field.startswith("n") and isinstance(getattr(model, field), int):
         return None
     return "other"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.realization.features.canonical import (
-    listed,
+    as_list,
     one_or_listed,
 )
 from pytest_twin.realization.features.elements import DOFS, QPOS, Elements
@@ -37,7 +37,7 @@ def keyframe(elements: Elements, key: int) -> dict[str, Any]:
         "velocities": velocities,
         "controls": controls,
         "activations": activations,
-        "mocap positions": listed(model.key_mpos[key]),
-        "mocap quaternions": listed(model.key_mquat[key]),
-        "plastic state": listed(model.key_plastic[key]),
+        "mocap positions": as_list(model.key_mpos[key]),
+        "mocap quaternions": as_list(model.key_mquat[key]),
+        "plastic state": as_list(model.key_plastic[key]),
     }

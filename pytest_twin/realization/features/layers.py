@@ -17,7 +17,7 @@ from pytest_twin.realization.features import (
     surfaces,
 )
 from pytest_twin.realization.features.canonical import (
-    listed,
+    as_list,
     value_of,
 )
 from pytest_twin.realization.features.elements import OBJ, Elements
@@ -42,7 +42,7 @@ def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[s
         found["flex:all"] = {name: value_of(getattr(model, name)) for name in sorted(FLEX)}
     found.update(_inputs_and_outputs(elements))
     found["option:gravity"] = {
-        "gravity [m/s^2]": listed(model.opt.gravity),
+        "gravity [m/s^2]": as_list(model.opt.gravity),
         "disabled": bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY),
     }
     found["option:integration"] = settings.options(elements)

@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 
 from pytest_twin.realization.features.canonical import (
+    as_rounded_list,
     rotation_of,
-    rounded,
     value_of,
 )
 from pytest_twin.realization.features.elements import OBJ, Elements
@@ -20,7 +20,7 @@ def site(elements: Elements, site: int) -> dict[str, Any]:
     model = elements.model
     return {
         "body": elements.body[int(model.site_bodyid[site])],
-        "position [m]": rounded(model.site_pos[site]),
+        "position [m]": as_rounded_list(model.site_pos[site]),
         "quaternion": rotation_of(model.site_quat[site]),
     }
 
@@ -52,7 +52,7 @@ def sensor(elements: Elements, sensor: int) -> dict[str, Any]:
     }
     for target, at in ((obj, index), (ref, other)):
         if target == int(OBJ.mjOBJ_SITE) and at >= 0:
-            drawn = [int(model.site_type[at]), rounded(model.site_size[at])]
+            drawn = [int(model.site_type[at]), as_rounded_list(model.site_size[at])]
             content.setdefault("sites", []).append([site(elements, at), drawn])
             content["site meshes"] = [int(model.site_dataid[at])]
         if target == int(OBJ.mjOBJ_GEOM) and at >= 0:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.realization.features.canonical import (
+    as_list,
+    as_rounded_list,
     digest_of,
-    listed,
     rotation_of,
-    rounded,
     rows_of_element,
 )
 from pytest_twin.realization.features.elements import Elements
@@ -24,7 +24,7 @@ def shape(elements: Elements, geom: int) -> dict[str, Any]:
     kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
     content: dict[str, Any] = {
         "type": kind,
-        "position [m]": rounded(model.geom_pos[geom]),
+        "position [m]": as_rounded_list(model.geom_pos[geom]),
         "quaternion": rotation_of(model.geom_quat[geom]),
     }
     data = int(model.geom_dataid[geom])
@@ -34,7 +34,7 @@ def shape(elements: Elements, geom: int) -> dict[str, Any]:
         content["height field"] = elements.hfield[data]
     elif kind != "plane":
         # The size of a plane changes the rendering only.
-        content["size [m]"] = rounded(model.geom_size[geom])
+        content["size [m]"] = as_rounded_list(model.geom_size[geom])
     return content
 
 
@@ -50,13 +50,13 @@ def collision(elements: Elements, body: int) -> dict[str, Any]:
                 "conaffinity": int(model.geom_conaffinity[g]),
                 "condim": int(model.geom_condim[g]),
                 "priority": int(model.geom_priority[g]),
-                "friction": listed(model.geom_friction[g]),
+                "friction": as_list(model.geom_friction[g]),
                 "solmix": float(model.geom_solmix[g]),
-                "solref": listed(model.geom_solref[g]),
-                "solimp": listed(model.geom_solimp[g]),
+                "solref": as_list(model.geom_solref[g]),
+                "solimp": as_list(model.geom_solimp[g]),
                 "margin [m]": float(model.geom_margin[g]),
                 "gap [m]": float(model.geom_gap[g]),
-                "surface velocity": listed(model.geom_surfacevel[g]),
+                "surface velocity": as_list(model.geom_surfacevel[g]),
                 "adhesion [N]": float(model.geom_adhesion[g]),
             }
             for g in elements.geoms_of(body)
@@ -133,7 +133,7 @@ def hfield(elements: Elements, hfield: int) -> dict[str, Any]:
     rows, columns = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
     start = int(model.hfield_adr[hfield])
     return {
-        "size [m]": listed(model.hfield_size[hfield]),
+        "size [m]": as_list(model.hfield_size[hfield]),
         "rows": rows,
         "columns": columns,
         "elevation": digest_of(model.hfield_data[start : start + rows * columns]),
@@ -148,10 +148,10 @@ def pairs(elements: Elements) -> dict[str, Any]:
             {
                 "geoms": [elements.geom[model.pair_geom1[p]], elements.geom[model.pair_geom2[p]]],
                 "condim": int(model.pair_dim[p]),
-                "friction": listed(model.pair_friction[p]),
-                "solref": listed(model.pair_solref[p]),
-                "solref friction": listed(model.pair_solreffriction[p]),
-                "solimp": listed(model.pair_solimp[p]),
+                "friction": as_list(model.pair_friction[p]),
+                "solref": as_list(model.pair_solref[p]),
+                "solref friction": as_list(model.pair_solreffriction[p]),
+                "solimp": as_list(model.pair_solimp[p]),
                 "margin [m]": float(model.pair_margin[p]),
                 "gap [m]": float(model.pair_gap[p]),
                 "adhesion [N]": float(model.pair_adhesion[p]),

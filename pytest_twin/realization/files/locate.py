@@ -23,7 +23,7 @@ from pytest_twin.twin import Twin
 
 
 @dataclass(frozen=True, slots=True)
-class Located:
+class ModelFolders:
     """Folders that may contain the files of a model.
 
     Attributes:
@@ -64,7 +64,7 @@ def locate(
     twin: Twin | None = None,
     roots: Roots | None = None,
     limits: ModelLimits = LIMITS,
-) -> Located:
+) -> ModelFolders:
     """Find the root folder and the packages of a model; only its XML files are read.
 
     Args:
@@ -86,21 +86,21 @@ def locate(
         within = Roots(roots.base, (*roots.extra, *search.roots, *search.packages.values()))
         above = [folder for folder in path.parents if within.contains(folder)]
         others = [folder for folder in within.folders if folder not in above]
-        return Located(within, Packages(above, others, search.packages, declared))
+        return ModelFolders(within, Packages(above, others, search.packages, declared))
     surroundings = folders_above(path)
     allowed = [folder.path for folder in inside(surroundings)]
     packages = Packages(allowed, search.roots, search.packages)
-    root = _chosen(path, surroundings, packages, search.roots, limits)
+    root = _choose(path, surroundings, packages, search.roots, limits)
     beside = [
         package.folder
         for package in packages.found.values()
         if not package.folder.is_relative_to(root.folder)
     ]
     extra = (root.folder, *search.roots, *search.packages.values(), *beside)
-    return Located(Roots(path.parent, tuple(dict.fromkeys(extra))), packages, root)
+    return ModelFolders(Roots(path.parent, tuple(dict.fromkeys(extra))), packages, root)
 
 
-def _chosen(
+def _choose(
     path: Path,
     surroundings: Sequence[Folder],
     packages: Packages,

@@ -18,7 +18,7 @@ from pytest_twin.calibration.boards.detection import Detection
 from pytest_twin.calibration.boards.target import make_target
 from pytest_twin.calibration.cameras.arm import arm_of
 from pytest_twin.calibration.cameras.images import Images
-from pytest_twin.calibration.cameras.increments import by_measured, changed, difference
+from pytest_twin.calibration.cameras.increments import apply_change, by_measured, difference
 from pytest_twin.calibration.cameras.intrinsics import make_intrinsics
 from pytest_twin.calibration.chain import link_parameters
 from pytest_twin.calibration.closed_form import inverse, rigid
@@ -64,7 +64,7 @@ def random_cell(
         here = middle + rng.uniform(-0.9, 0.9, 6)
         flange = cells.forward(true, here[None] + zeros)[0]
         noise = np.r_[rng.normal(0, POSITION, 3), rng.normal(0, TURN, 3)]
-        flange = flange @ changed(np.eye(4), noise)
+        flange = flange @ apply_change(np.eye(4), noise)
         seen = inverse(flange @ mounted) @ world
         corners = points @ seen[:3, :3].T + seen[:3, 3]
         if corners[:, 2].min() < 0.25 or corners[:, 2].max() > 1.2 or seen[2, 2] < 0.5:

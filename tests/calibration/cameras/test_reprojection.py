@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.calibration.boards.detection import Detection, detect_files
 from pytest_twin.calibration.boards.target import make_target
 from pytest_twin.calibration.cameras.bundle import KnownNoise, bundle
-from pytest_twin.calibration.cameras.increments import changed, inverse
+from pytest_twin.calibration.cameras.increments import apply_change, inverse
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics, make_intrinsics, project
 from pytest_twin.calibration.cameras.normal_equations import Noise, Unknowns
 from pytest_twin.calibration.cameras.pose import target_pose
@@ -33,7 +33,7 @@ def cell(mount: str, seed: int, *, count=15, pixel=0.2, position=3e-4, turn=5e-4
     rng = np.random.default_rng(seed)
 
     def pose(turning: float, shift: float) -> np.ndarray:
-        return changed(np.eye(4), np.r_[rng.normal(0, shift, 3), rng.normal(0, turning, 3)])
+        return apply_change(np.eye(4), np.r_[rng.normal(0, shift, 3), rng.normal(0, turning, 3)])
 
     hand_eye, robot_world = pose(0.5, 0.1), pose(0.5, 0.8)
     points = TARGET.board_points()
@@ -105,9 +105,9 @@ def test_derivatives_of_the_reprojection_agree_with_finite_differences():
     for column in range(6):
         change = step * np.eye(6)[column]
         ends = [
-            reprojection_residuals(vector, changed(poses, np.tile(sign * change, (3, 1))), corners)[
-                0
-            ]
+            reprojection_residuals(
+                vector, apply_change(poses, np.tile(sign * change, (3, 1))), corners
+            )[0]
             for sign in (1, -1)
         ]
         slope = (ends[0] - ends[1]) / (2 * step)

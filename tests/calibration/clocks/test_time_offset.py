@@ -11,7 +11,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from pytest_twin import cli
-from pytest_twin.calibration.cameras.increments import changed, inverse
+from pytest_twin.calibration.cameras.increments import apply_change, inverse
 from pytest_twin.calibration.clocks.streams import read_stream
 from pytest_twin.errors import FormatError
 
@@ -20,8 +20,8 @@ pytestmark = pytest.mark.usefixtures("commands_in_process")
 RECORDINGS = Path(
     os.environ.get("TWIN_RECORDINGS") or Path(__file__).parents[4] / "shared" / "recordings"
 )
-HAND_EYE = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
-TARGET = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
+HAND_EYE = apply_change(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
+TARGET = apply_change(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
 
 
 def motion(seed: int, slow: float = 1.0, burst: float | None = None):
@@ -38,7 +38,7 @@ def motion(seed: int, slow: float = 1.0, burst: float | None = None):
         waves = np.sin(time[:, None, None] * rate + phase).mean(axis=2) * size
         if burst is not None:
             waves = waves * np.exp(-(((time[:, None] - 20.0) / burst) ** 2))
-        return changed(np.tile(np.eye(4), (len(time), 1, 1)), waves)
+        return apply_change(np.tile(np.eye(4), (len(time), 1, 1)), waves)
 
     return at
 
@@ -72,7 +72,7 @@ def write_streams(
     rng = np.random.default_rng(seed)
     hand = motion(seed, slow, burst)
     time = np.arange(0.0, 40.0, 0.01)
-    poses = changed(hand(time), 0.2 * noise * rng.normal(size=(len(time), 6)))
+    poses = apply_change(hand(time), 0.2 * noise * rng.normal(size=(len(time), 6)))
     write_stream(folder / "hand.csv", time, poses, header=True)
     stamps = np.arange(2.0, 38.0, 0.04) + rng.uniform(0, 0.01, 900)
     true = stamps + offset + drift * (stamps - stamps.mean())
@@ -85,7 +85,7 @@ def write_streams(
     if mount == "world":
         # The camera is fixed at the pose TARGET; the target is on the hand at HAND_EYE.
         seen = inverse(TARGET) @ hand(true) @ HAND_EYE
-    seen = changed(seen, noise * rng.normal(size=(len(stamps), 6)))
+    seen = apply_change(seen, noise * rng.normal(size=(len(stamps), 6)))
     write_stream(folder / "camera.csv.gz", stamps, inverse(seen) if inverted else seen)
     plan = {
         "calibration": "clocks",

@@ -15,7 +15,7 @@ from rendered_boards import CAMERA, apriltag_grid, charuco, chessboard, rendered
 
 from pytest_twin import cli
 from pytest_twin.calibration.boards.target import Target
-from pytest_twin.calibration.cameras.increments import changed, inverse
+from pytest_twin.calibration.cameras.increments import apply_change, inverse
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 
@@ -42,8 +42,8 @@ def write_cell(
 ) -> np.ndarray:
     """Write plan, observations and images for a camera on the hand; return the hand-eye pose."""
     rng = np.random.default_rng(seed)
-    hand_eye = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
-    robot_world = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
+    hand_eye = apply_change(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
+    robot_world = apply_change(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
     (folder / "images").mkdir()
     rows = [",".join(["id", "image", *(f"flange.{part}" for part in POSE)])]
     for number in range(count):
@@ -55,7 +55,7 @@ def write_cell(
         seen[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
         seen[:3, 3] = place
         flange = robot_world @ inverse(seen) @ inverse(hand_eye)
-        flange = changed(flange, noise * rng.normal(size=6))
+        flange = apply_change(flange, noise * rng.normal(size=6))
         quaternion = np.roll(Rotation.from_matrix(flange[:3, :3]).as_quat(), 1)
         numbers = [repr(float(v)) for v in (*flange[:3, 3], *quaternion)]
         rows.append(",".join([f"n{number}", f"images/{number}.png", *numbers]))
@@ -225,8 +225,8 @@ def test_a_board_with_half_turn_symmetry_may_be_seen_at_any_angle(tmp_path):
     names = ("fx", "fy", "cx", "cy")
     given = dict(zip(names, CAMERA.vector.tolist(), strict=False))
     rng = np.random.default_rng(4)
-    hand_eye = changed(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
-    robot_world = changed(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
+    hand_eye = apply_change(np.eye(4), np.array([0.05, -0.02, 0.06, 0.1, -0.2, 0.7]))
+    robot_world = apply_change(np.eye(4), np.array([0.6, 0.1, 0.05, 0.2, 3.0, 0.1]))
     rows = [",".join(["id", "image", *(f"flange.{part}" for part in POSE)])]
     middle = np.array([0.12, 0.09, 0.0])
     for number in range(10):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pytest_twin.calibration.cameras.increments import changed, inverse
+from pytest_twin.calibration.cameras.increments import apply_change, inverse
 
 
 def pose(rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
-    return changed(np.eye(4), np.r_[rng.normal(0, shift, 3), rng.normal(0, turn, 3)])
+    return apply_change(np.eye(4), np.r_[rng.normal(0, shift, 3), rng.normal(0, turn, 3)])
 
 
 def random_hand_eye(mount: str, count: int, seed: int, noise: float = 0.0):
@@ -25,4 +25,4 @@ def random_hand_eye(mount: str, count: int, seed: int, noise: float = 0.0):
     else:
         flange = robot_world @ seen @ inverse(hand_eye)
     steps = noise * rng.normal(size=(2, count, 6))
-    return changed(flange, steps[0]), changed(seen, steps[1]), hand_eye, robot_world
+    return apply_change(flange, steps[0]), apply_change(seen, steps[1]), hand_eye, robot_world
