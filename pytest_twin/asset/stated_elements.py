@@ -68,7 +68,7 @@ def stated_elements(robot: Node) -> Iterator[StatedElement]:
         waiting.extend(reversed(below))
 
 
-def neutral(found: StatedElement) -> bool:
+def is_neutral(found: StatedElement) -> bool:
     """Whether its value has no effect, such as an offset of 0 or a reduction of 1."""
     if found.entry is None or found.entry.neutral is None:
         return False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pytest_twin.asset.stated_elements import StatedElement, neutral, stated_elements
+from pytest_twin.asset.stated_elements import StatedElement, is_neutral, stated_elements
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
 
@@ -19,7 +19,7 @@ def check(asset: Asset) -> Iterator[Finding]:
         return
     kinds: dict[str, list[StatedElement]] = {}
     for one in stated_elements(asset.root):
-        if one.entry is not None and one.entry.goes.code is not None and not neutral(one):
+        if one.entry is not None and one.entry.goes.code is not None and not is_neutral(one):
             kinds.setdefault(one.label, []).append(one)
     for label, found in kinds.items():
         yield _left_out(label, found)

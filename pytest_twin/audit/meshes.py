@@ -66,7 +66,7 @@ def facts(asset: Asset, geometry: Geometry) -> list[MeshFacts]:
     for (file, _), shapes in found.items():
         mesh = shapes[0].triangles
         assert mesh is not None
-        closed = watertight(mesh)
+        closed = is_watertight(mesh)
         volume = polyhedron(mesh.vertices, mesh.faces) if closed else None
         extents = np.ptp(mesh.vertices, axis=0)
         result.append(
@@ -83,7 +83,7 @@ def facts(asset: Asset, geometry: Geometry) -> list[MeshFacts]:
     return result
 
 
-def watertight(mesh: Triangles) -> bool:
+def is_watertight(mesh: Triangles) -> bool:
     """Whether every edge has two faces with consistent orientation."""
     faces = mesh.faces.astype(np.int64)
     edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])

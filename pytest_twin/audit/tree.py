@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.words import list_names
 
 _WHY_TREE = "URDF describes a tree: parsers refuse the file, or each keeps a different part of it"
 
@@ -107,8 +108,7 @@ def _roots(asset: Asset) -> Iterator[Finding]:
     reached = set(asset.drawn)
     lost = [body for body in asset.body.values() if body.name not in reached]
     if lost:
-        names = ", ".join(f"'{body.name}'" for body in lost[:8])
-        names += f" and {len(lost) - 8} more" if len(lost) > 8 else ""
+        names = list_names([f"'{body.name}'" for body in lost])
         yield Finding(
             "tree.loop",
             "critical",

@@ -127,12 +127,6 @@ def _limb(model: mujoco.MjModel, body: int) -> int:
     return first
 
 
-def list_names(names: tuple[str, ...] | list[str], most: int = 6) -> str:
-    """Join names for a sentence; at most ``most`` names."""
-    shown = ", ".join(names[:most])
-    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
-
-
 def draft(check: Check, realization: Realization, spec: Mapping[str, Any]) -> Golden:
     """Return a first spec as a golden without tolerances, for a trial run."""
     return Golden(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pytest_twin.checks import proposals
 from pytest_twin.checks.base import Check, NothingToProposeError
 from pytest_twin.checks.fields import POSITION_UNIT
+from pytest_twin.words import list_names
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
@@ -98,7 +99,7 @@ def _under_gravity(
             f"{len(actuation.held)} joints held by servos under gravity, the rest swinging"
         )
         spec["notes"] = [
-            f"No position servo holds {proposals.list_names(actuation.loose)}: simulated for 0.3 s "
+            f"No position servo holds {list_names(actuation.loose, 6)}: simulated for 0.3 s "
             "only, because a swinging motion amplifies rounding errors."
         ]
     else:

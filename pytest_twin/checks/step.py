@@ -25,6 +25,7 @@ from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.time_response import step_metrics, worst_sample
 from pytest_twin.twin import Simulator
+from pytest_twin.words import list_names
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
@@ -224,7 +225,7 @@ class Step(Check):
                 notes.append(told)
             if light:
                 notes.append(
-                    f"Not tested by this step: the mass of {proposals.list_names(light)} (less "
+                    f"Not tested by this step: the mass of {list_names(light, 6)} (less "
                     "than 0.4 % of the inertia about the joint). mass_properties tests it."
                 )
         return self._bounded(realization, spec, fraction, notes)

@@ -16,7 +16,7 @@ from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import excitation
 from pytest_twin.report.text import printable
-from pytest_twin.words import counted
+from pytest_twin.words import counted, list_names
 
 HELP = "design motions for identification within approved limits, and predict their results"
 EXAMPLES = (
@@ -124,10 +124,10 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
         f"{one['name']} to {100 * one['scale']:.0f} %" for one in motions if one["scale"] < 1
     ]
     if reduced:
-        lines.append(f"scaled down to be safe: {_some(reduced, ', ')}")
+        lines.append(f"scaled down to be safe: {list_names(reduced, 3)}")
     lines += [
         f"X {one['name']}: no safe motion in {counted(one['attempts'], 'attempt')}: "
-        + _some(one["why"], "; ")
+        + list_names(one["why"], 3, "; ")
         for one in document["refused"]
     ]
     open_ = document["unidentifiable"]
@@ -137,8 +137,3 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
     lines += [f"note: {document['closed_loop']}", f"note: {document['notice']}"]
     lines.append(f"report: {out / PAGE_NAME}")
     return lines
-
-
-def _some(words: list[str], between: str) -> str:
-    shown = between.join(words[:3])
-    return shown + (f" and {len(words) - 3} more" if len(words) > 3 else "")

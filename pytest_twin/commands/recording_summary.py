@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from pytest_twin.formats.recordings.candidates import describe, pairs, topics_op
 from pytest_twin.formats.ros_serialization import QUANTITIES, Integers
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import make_trials
+from pytest_twin.words import join_words
 
 # Below this rate, Hz, a delay of a usual servo loop falls between two samples.
 _SLOW = 50.0
@@ -232,7 +233,7 @@ def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
     seconds = sum(trial["duration"] for trial in usable["trials"])
     lines.append(
         f"A diagnosis can use {seconds:.4g} s of it{in_parts}: "
-        f"{_join_words(modes)} commands of {', '.join(usable['command_modes'])}, "
+        f"{join_words(modes)} commands of {', '.join(usable['command_modes'])}, "
         f"{between['value']} between stamps ({between['source']})."
     )
     lines.append(f"next: pytest-twin diagnose MODEL {one['recording']} ... --out diagnosis")
@@ -252,7 +253,7 @@ def _series_lines(role: str, series: Mapping[str, Any]) -> list[str]:
     joints = "1 joint" if len(series["joints"]) == 1 else f"{len(series['joints'])} joints"
     text = f"{role}s: {series['messages']} messages of {joints}"
     text += "" if rate is None else f" at {rate:.4g} Hz"
-    text += f", {_join_words(series['fields']) or 'no field'}"
+    text += f", {join_words(series['fields']) or 'no field'}"
     if longest is not None:
         text += f", longest interval {longest['value']:.4g} s at {longest['at']:.4g} s"
     if series["gaps"]:
@@ -273,11 +274,6 @@ def _clock_lines(clock: Mapping[str, Any]) -> list[str]:
         return []
     text = ", ".join(f"{role}s {1e3 * value:.3g} ms" for role, value in late.items())
     return [f"clock: header stamps; log times come later by {text} (median)"]
-
-
-def _join_words(words: Sequence[str]) -> str:
-    """Join words: ``a``, ``a and b``, ``a, b and c``."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def episodes_in_words(found: Mapping[str, Any]) -> list[str]:

@@ -109,7 +109,8 @@ class _Walker:
             if opcode == CHUNK:
                 yield from self.chunk(start, length)
             elif opcode == FOOTER:
-                finished = self.footer(start, length)
+                self.read_footer(start, length)
+                finished = True
                 break
             else:
                 self.record(opcode, start, length)
@@ -445,13 +446,13 @@ class _Walker:
             self.in_summary = True
             self.crc = 0
 
-    def footer(self, start: int, length: int) -> bool:
+    def read_footer(self, start: int, length: int) -> None:
         head_and_places = self.take(9 + 16)
         crc = self.crc
         stated = int.from_bytes(self.take(4), "little")
         if length != 20 or len(head_and_places) != 25:
             self.notes.add(f"byte {start}", "the footer has the wrong length")
-            return True
+            return
         if not self.in_summary:
             self.notes.add(f"byte {start}", "a footer before the end of the data section")
         elif stated and stated != crc:
@@ -459,7 +460,6 @@ class _Walker:
             self.expected, self.indexed = None, []
         if self.take(len(MAGIC) + 1) != MAGIC:
             self.notes.add("end of file", "the file does not end with the MCAP magic")
-        return True
 
     def compare_with_summary(self) -> None:
         """Note records that the summary lists and the data section lacks."""

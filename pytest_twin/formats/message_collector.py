@@ -183,7 +183,7 @@ def _first(
     if kind is None or int(region.size[rows[0]]) > _LOOK_BYTES:
         return None
     try:
-        if TopicReader.packed(region, rows):
+        if TopicReader.is_compressed(region, rows):
             region = decompress_messages(region, rows, _LOOK_BYTES, path, channel.topic)
             rows = np.zeros(1, np.int64)
         start, size = region.start[rows], region.size[rows]

@@ -77,7 +77,7 @@ class Roots:
         for part in reference.split("/"):
             if part in ("", "."):
                 continue
-            step = os.path.join(current, part)  # noqa: PTH118
+            step = os.path.join(current, part)  # noqa: PTH118 - text: realpath follows it
             try:
                 following = os.path.realpath(step, strict=True)
             except FileNotFoundError:
@@ -109,7 +109,7 @@ class Roots:
         """Return the problem of a reference outside the roots, and the option that allows it."""
         inside = "a path inside " + " or ".join(str(root) for root in self.folders)
         real = os.path.realpath(at.parent / reference)
-        wanted = real if folder else os.path.dirname(real)  # noqa: PTH120
+        wanted = real if folder else os.path.dirname(real)  # noqa: PTH120 - text, as realpath returns
         return (
             "path leaves the declared roots",
             f"{inside}; to allow that folder: --root {wanted} on the command line, or "

@@ -108,6 +108,7 @@ class _Compiler:
         # Look the target up when data is tested: a schema may refer to itself.
         return lambda v: holder[0](v)
 
+    # The names of these methods are ``make_`` and the keyword of JSON Schema (hence noqa N802).
     def make_allOf(self, value: list[Any], _: Any) -> Fits:  # noqa: N802
         return _all([self.compile(item) for item in value])
 

@@ -91,7 +91,7 @@ class SensorCollector(MessageCollector):
                 expected=", ".join(known),
             )  # fmt: skip
         encoding: Encoding = "ros1" if channel.encoding == "ros1" else "cdr"
-        if TopicReader.packed(region, rows):
+        if TopicReader.is_compressed(region, rows):
             region = decompress_messages(
                 region, rows, MCAP.uncompressed_bytes, self.path, channel.topic
             )

@@ -224,7 +224,10 @@ class _Database:
             self.collector.count(self.contents, self.counts(connection, others))
         marks = ",".join("?" * len(set(known)))
         # Column and table names are constants: only the numbers come from the file.
-        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY rowid"  # noqa: E501
+        query = (
+            "SELECT topic_id, timestamp, data FROM messages "
+            f"WHERE topic_id IN ({marks}) ORDER BY rowid"
+        )
         block = _Block()
         for number, time, data in connection.execute(query, sorted(set(known))):
             if type(number) is not int or type(time) is not int or not isinstance(data, bytes):

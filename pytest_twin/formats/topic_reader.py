@@ -84,7 +84,7 @@ class TopicReader:
                 except MessageError as error:
                     self._keep((row, error), region, rows)
         else:
-            if self.packed(region, rows):
+            if self.is_compressed(region, rows):
                 region, rows = self._unpack(region, rows), np.arange(len(rows))
             encoding: Encoding = "ros1" if channel.encoding == "ros1" else "cdr"
             for found in kind.serialized(
@@ -94,7 +94,7 @@ class TopicReader:
         self.seen += len(rows)
 
     @staticmethod
-    def packed(region: Region, rows: Integers) -> bool:
+    def is_compressed(region: Region, rows: Integers) -> bool:
         """Whether rosbag2 has compressed each message; CDR never begins with these bytes."""
         start, size = int(region.start[rows[0]]), int(region.size[rows[0]])
         return size >= 4 and region.data[start : start + 4] == ZSTD_MAGIC

@@ -56,8 +56,8 @@ def import_openusd() -> None:
         ImportError: OpenUSD is not installed, or does not load.
     """
     if importlib.util.find_spec("newton_usd_schemas") is not None:
-        import newton_usd_schemas  # noqa: F401
-    from pxr import UsdPhysics  # noqa: F401
+        import newton_usd_schemas  # noqa: F401 - registers the schemas
+    from pxr import UsdPhysics  # noqa: F401 - whether OpenUSD loads
 
 
 def require() -> None:
@@ -72,7 +72,7 @@ def require() -> None:
     try:
         with _suppress_output():
             import_openusd()
-            import urdf_usd_converter  # noqa: F401
+            import urdf_usd_converter  # noqa: F401 - whether it loads
     except ImportError as error:
         # usd-core and usd-exchange (which the converter needs) both install the modules `pxr`, and
         # the later installation breaks the other.

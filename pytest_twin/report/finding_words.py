@@ -7,6 +7,7 @@ from typing import Any
 
 from pytest_twin.effects import Parameter, catalogue
 from pytest_twin.report.text import number
+from pytest_twin.words import join_words
 
 SURE = 0.9
 """Confidence above which no further test is recommended; less likely alternatives are not named."""
@@ -85,13 +86,8 @@ def place_of_set(item: Mapping[str, Any]) -> str:
     """Return all effects of an alternative and the findings that it replaces."""
     names = [place(item), *(place(other) for other in item.get("together_with", ()))]
     replaced = [place(other) for other in item.get("instead_of", ())]
-    instead = f" instead of {_join_names(replaced)}" if replaced else ""
-    return f"{_join_names(names)}{instead}"
-
-
-def _join_names(names: Sequence[str]) -> str:
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
+    instead = f" instead of {join_words(replaced)}" if replaced else ""
+    return f"{join_words(names)}{instead}"
 
 
 def table_row(finding: Mapping[str, Any], key: str) -> tuple[str, str, str]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pytest_twin.report.finding_words import meaning_of, place, readable_unit
 from pytest_twin.report.text import printable, quantity
+from pytest_twin.words import join_words
 
 if TYPE_CHECKING:
     from pytest_twin.diagnosis.quick_diagnosis import LikelyEffect, Place, QuickDiagnosis
@@ -23,9 +23,7 @@ def quick_diagnosis_in_words(seen: QuickDiagnosis) -> str:
     if seen.likely_effects:
         parts = [_in_words(found) for found in seen.likely_effects]
         if seen.unexplained:
-            parts.append(
-                f"no known effect explains the error of {_join_names(seen.unexplained, 'and')}"
-            )
+            parts.append(f"no known effect explains the error of {join_words(seen.unexplained)}")
         return printable("; ".join(parts))
     when = f"{seen.where.summary}{_spans(seen)}"
     if seen.joint is None:
@@ -46,11 +44,11 @@ def _in_words(found: LikelyEffect) -> str:
         f"{meaning_of(effect, name)} about {_approximate_value(value, unit)}"
         for name, value, unit in shown[:_MOST_PARAMETERS]
     )
-    of = f" of {_join_names(found.of, 'and')}" if found.of else ""
+    of = f" of {join_words(found.of)}" if found.of else ""
     removes = f"would remove {math.floor(100 * found.removed)} % of the squared error{of}"
     if found.rivals:
         places = [f"{_place_name(found.place)} ({values})", *map(_place_name, found.rivals)]
-        return f"could be {_join_names(places, 'or')}; correcting the first {removes}"
+        return f"could be {join_words(places, 'or')}; correcting the first {removes}"
     return (
         f"probably {_place_name(found.place)}: {values}; "
         f"confidence {math.floor(100 * found.share)} %; correcting it {removes}"
@@ -59,13 +57,7 @@ def _in_words(found: LikelyEffect) -> str:
 
 def _place_name(where: Place) -> str:
     effect, joints = where
-    return place({"effect": effect, "joint": _join_names(joints, "and") if joints else None})
-
-
-def _join_names(names: Sequence[str], word: str) -> str:
-    """Join words: ``a``, ``a or b``, ``a, b or c``."""
-    *most, last = names
-    return f"{', '.join(most)} {word} {last}" if most else last
+    return place({"effect": effect, "joint": join_words(joints) if joints else None})
 
 
 def _approximate_value(value: float, unit: str) -> str:

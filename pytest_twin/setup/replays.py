@@ -8,13 +8,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pytest_twin.checks.files import find_recording
-from pytest_twin.checks.proposals import list_names
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.gate.specs import UNWRITTEN
 from pytest_twin.realization import Realization, load
 from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.roles import refuse_final
 from pytest_twin.twin import load_twin
+from pytest_twin.words import list_names
 
 # A data set may have hundreds of episodes, and each golden is a simulation of one.
 _MAX_EPISODES = 5

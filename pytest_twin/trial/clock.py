@@ -110,8 +110,8 @@ def on_one_clock(
                 "no stamp (header.stamp is 0)"
             )
         timed.append(TimedMessages(one, one.stamp[rows], rows))
-    overlap, logs = _overlap(*(t.stamp for t in timed)), _has_log_times(topics)
-    log_overlap = _overlap(*(one.log_time for one in topics))
+    overlap, logs = _overlaps(*(t.stamp for t in timed)), _has_log_times(topics)
+    log_overlap = _overlaps(*(one.log_time for one in topics))
     if not overlap:
         if asked is None and log_overlap and logs:
             for one in topics:
@@ -192,7 +192,7 @@ def _by_log(topics: tuple[JointSeries, JointSeries], notes: list[str]) -> Topics
     return TopicsOnOneClock(((states, commands),), tuple(notes))
 
 
-def _overlap(states: Stamps, commands: Stamps) -> bool:
+def _overlaps(states: Stamps, commands: Stamps) -> bool:
     latched = int(LATCHED_SECONDS / _NS)
     first, last = int(states.min()), int(states.max())
     if len(states) == 1:

@@ -13,7 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.recording_options import COMMAND_MODES, CommandMode, RecordingOptions
-from pytest_twin.trial.joints import list_names
+from pytest_twin.words import list_names
 
 _ACTUATORS: Mapping[str, str] = {
     "position": "a position servo",

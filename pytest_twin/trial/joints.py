@@ -10,9 +10,9 @@ from pathlib import Path
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.recording_options import JointNames
+from pytest_twin.words import list_names
 
 # Largest number of names in a message, before "and n more".
-_LISTED = 8
 
 
 def in_model_names(
@@ -90,12 +90,6 @@ def name_by_actuators(
         f"{list_names(driven)} ('joints: {{\"0\": {driven[0]}, ...}}' in twin.yaml says otherwise)"
     )
     return replace(series, names=tuple(driven)), [note]
-
-
-def list_names(names: Sequence[str]) -> str:
-    """Names separated by commas; the first eight of many."""
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return ", ".join(names[:_LISTED]) + more
 
 
 def _no_such_joint(

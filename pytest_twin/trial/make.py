@@ -23,7 +23,7 @@ from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
 from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
-from pytest_twin.trial.joints import in_model_names, list_names, name_by_actuators
+from pytest_twin.trial.joints import in_model_names, name_by_actuators
 from pytest_twin.trial.recording_checks import RecordingChecks
 from pytest_twin.trial.table import (
     StateRows,
@@ -33,6 +33,7 @@ from pytest_twin.trial.table import (
     stamp_order,
 )
 from pytest_twin.trial.trial import Mark, Trial, stamps_of_densest_joint
+from pytest_twin.words import list_names
 
 # Texts of readers about stamps.
 _STAMP_TEXTS = ("stamps go back", "stamps occur twice", "header.stamp")

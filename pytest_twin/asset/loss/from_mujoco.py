@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from itertools import combinations
 
 import mujoco
@@ -231,18 +232,15 @@ def _drives(model: mujoco.MjModel) -> dict[str, str]:
     return found
 
 
-class _without_contact:  # noqa: N801
+@contextmanager
+def _without_contact(model: mujoco.MjModel) -> Iterator[None]:
     """Disable contacts inside a ``with`` block."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
-        self.flags = int(model.opt.disableflags)
-
-    def __enter__(self) -> None:
-        self.model.opt.disableflags = self.flags | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-
-    def __exit__(self, *_: object) -> None:
-        self.model.opt.disableflags = self.flags
+    flags = int(model.opt.disableflags)
+    model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    try:
+        yield
+    finally:
+        model.opt.disableflags = flags
 
 
 def _equalities(

@@ -33,7 +33,7 @@ def pairs(recording: Recording) -> list[tuple[Topic, Topic]]:
         (state, command)
         for state in choices("state")
         for command in choices("command")
-        if _fit(state, command)
+        if _are_compatible(state, command)
     ]
     return sorted(found, key=lambda pair: -_likelihood(*pair))
 
@@ -74,7 +74,7 @@ def _options(found: Sequence[tuple[Topic, Topic]]) -> list[str]:
     return [topics_option(*pair) for pair in found[:_PAIRS]]
 
 
-def _fit(state: Topic, command: Topic) -> bool:
+def _are_compatible(state: Topic, command: Topic) -> bool:
     if state.name == command.name:
         return state.type == _CONTROLLER_STATE
     by_place = all(name.isdecimal() for name in command.joints)

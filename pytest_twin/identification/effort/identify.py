@@ -551,7 +551,7 @@ def _identify(
     base = _base(regressor, known)
     stage_of = stages_of(regressor, base)
     problem = _problem(fit, regressor, base)
-    open_ = _unobservable(problem)
+    open_ = _is_unobservable(problem)
     columns = np.flatnonzero(~open_)
     tested = _problem(held or fit, regressor, base)
     shown = problem.only(columns)
@@ -600,7 +600,7 @@ def _identify(
         nominal=errors_of(tested, prior, joints),
         without_effort=tuple(j for j, k in zip(joints, known, strict=True) if not k),
         unobservable=open_,
-        unsure=_unsure(problem, prior, columns, kept, full),
+        unsure=_is_uncertain(problem, prior, columns, kept, full),
         physical=fit_full_parameters(
             regressor.columns, regressor.prior, base.combination, whole, said
         ),
@@ -658,12 +658,12 @@ def _problem(
     return linear_problem(samples, base.independent, dry)
 
 
-def _unobservable(problem: LinearProblem) -> NDArray[np.bool_]:
+def _is_unobservable(problem: LinearProblem) -> NDArray[np.bool_]:
     """(b,) True for parameters that the motion does not determine, for any noise."""
     return ~is_determined(problem.matrix, problem)
 
 
-def _unsure(
+def _is_uncertain(
     problem: LinearProblem,
     prior: FloatArray,
     columns: NDArray[np.intp],

@@ -44,7 +44,7 @@ class ServoGains:
         half_widths: half widths of their 95 % intervals.
         nominal: the model's stiffness and damping.
         transmission: square of the actuator's gear in the model.
-        slide: whether the joint is prismatic.
+        is_slide: whether the joint is prismatic.
         misfit: systematic difference from this law, relative to the effort's deviation: the part of
             the residual that depends on the law's effort, on its rate and on the direction of
             motion, and the effect of a delay of more than a sample.
@@ -57,7 +57,7 @@ class ServoGains:
     half_widths: tuple[float, float]
     nominal: tuple[float, float]
     transmission: float
-    slide: bool
+    is_slide: bool
     misfit: float
 
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -65,7 +65,7 @@ class ServoGains:
         rows = zip(
             ("servo_stiffness", "servo_damping"), (self.stiffness, self.damping),
             self.half_widths, self.nominal,
-            (si_unit("stiffness", self.slide), si_unit("damping", self.slide)), strict=True,
+            (si_unit("stiffness", self.is_slide), si_unit("damping", self.is_slide)), strict=True,
         )  # fmt: skip
         return {
             f"{self.joint}.{name}": {
@@ -90,7 +90,7 @@ class ServoGains:
     @property
     def words(self) -> str:
         """Describe the gains and the model's."""
-        unit = si_unit("stiffness", self.slide)
+        unit = si_unit("stiffness", self.is_slide)
         return f"{self.joint} {self.stiffness:.4g} {unit} (model {self.nominal[0]:.4g})"
 
 
