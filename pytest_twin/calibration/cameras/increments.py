@@ -11,24 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-
-
-def skew(vectors: FloatArray) -> FloatArray:
-    """(..., 3, 3) matrices of the cross product with (..., 3) vectors."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def inverse(transforms: FloatArray) -> FloatArray:
-    """(..., 4, 4) inverses of rigid transforms."""
-    back = np.swapaxes(transforms[..., :3, :3], -1, -2)
-    found = np.zeros_like(transforms)
-    found[..., :3, :3] = back
-    found[..., :3, 3] = -np.einsum("...ij,...j->...i", back, transforms[..., :3, 3])
-    found[..., 3, 3] = 1.0
-    return found
+from pytest_twin.calibration.transform_derivatives import skew
 
 
 def apply_change(transforms: FloatArray, steps: FloatArray) -> FloatArray:

@@ -17,12 +17,12 @@ from pytest_twin.calibration.cameras.increments import (
     apply_change,
     by_measured,
     difference,
-    inverse,
     jacobian_by_first,
     jacobian_by_second,
     jacobian_of_inverse,
 )
 from pytest_twin.calibration.cameras.reprojection import Corners, reprojection_residuals
+from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.solvers.algebraic import Mount
 
 _HUBER = 2.5

@@ -9,8 +9,8 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.detection import Detection
-from pytest_twin.calibration.cameras.increments import skew
 from pytest_twin.calibration.cameras.intrinsics import project
+from pytest_twin.calibration.transform_derivatives import skew
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import numpy as np
 
 from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.cameras.increments import inverse
 from pytest_twin.calibration.clocks.correlation import (
     LEAST_CORRELATION,
     MOST_RIVAL,
@@ -28,6 +27,7 @@ from pytest_twin.calibration.clocks.offset import (
 from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.stream_mistakes import mistakes_of_streams
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
+from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, describe_pose, records_of
 from pytest_twin.calibration.records import inverse_with_covariance

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.cameras.increments import inverse
 from pytest_twin.calibration.clocks.correlation import angular_speed
 from pytest_twin.calibration.clocks.offset import ClockFit, hand_times, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import describe_pose
 from pytest_twin.calibration.scene import frame

@@ -11,13 +11,13 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.increments import (
     apply_change,
     difference,
-    inverse,
     jacobian_by_first,
     jacobian_by_second,
-    skew,
 )
 from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.solvers.algebraic import HandEye
+from pytest_twin.calibration.transform_derivatives import skew
 
 _STEPS = 40
 """Largest number of Gauss-Newton steps."""

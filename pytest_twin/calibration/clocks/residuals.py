@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.cameras.increments import inverse
 from pytest_twin.calibration.clocks.offset import SLOPE_S, ClockFit, hand_times
 from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.residual_patterns import Residuals
 
 _APART_S = 1.0

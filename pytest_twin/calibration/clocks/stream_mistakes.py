@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.cameras.increments import inverse
 from pytest_twin.calibration.clocks.offset import MOST_OFFSET_SPREAD_S, ClockFit, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
+from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.input_mistake import InputMistake
 from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
 from pytest_twin.calibration.observations import Observations

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.cameras.increments import inverse
+from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes

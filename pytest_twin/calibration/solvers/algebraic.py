@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.opencv import opencv
-from pytest_twin.calibration.cameras.increments import inverse
+from pytest_twin.calibration.closed_form import inverse
 
 Mount = Literal["hand", "world"]
 

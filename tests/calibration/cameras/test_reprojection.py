@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.calibration.boards.detection import Detection, detect_files
 from pytest_twin.calibration.boards.target import make_target
 from pytest_twin.calibration.cameras.bundle import KnownNoise, bundle
-from pytest_twin.calibration.cameras.increments import apply_change, inverse
+from pytest_twin.calibration.cameras.increments import apply_change
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics, make_intrinsics, project
 from pytest_twin.calibration.cameras.normal_equations import Noise, Unknowns
 from pytest_twin.calibration.cameras.pose import target_pose
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
+from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
 
 RECORDINGS = Path(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pytest_twin.calibration.cameras.increments import apply_change, inverse
+from pytest_twin.calibration.cameras.increments import apply_change
+from pytest_twin.calibration.closed_form import inverse
 
 
 def pose(rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
