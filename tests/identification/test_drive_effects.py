@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import jsonschema
 import mujoco
 import numpy as np
 import pytest
+from driven_pendulum import Motion, Plant, write_run
 from test_further_effects import (
     DAMPING,
     Drive,
@@ -35,47 +35,28 @@ from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
-INTERVAL, STEPS = 0.001, 20
-"""Step of the plant, s, and steps between two samples."""
-SECONDS = 5.0
+INTERVAL = 0.001
+"""Step of the plant, s."""
 
 
-def write_run(path: Path, seed: int, drive: Drive, effort_noise: float = 5e-3) -> Path:
-    """Write positions, delivered efforts and commands of the real pendulum, at 50 Hz.
-
-    Args:
-        effort_noise: standard deviation of a measured effort, N*m.
-    """
+def write(path: Path, seed: int, drive: Drive, effort_noise: float = 5e-3) -> Path:
+    """Write a run of the real pendulum with a drive; standard deviation of its effort in N*m."""
     servo = f'<position name="servo" joint="swing" kp="{{kp}}" kv="{DAMPING}"/>'
     text = MODEL.replace(servo, '<motor name="servo" joint="swing"/>')
-    model = mujoco.MjModel.from_xml_string(text.format(**REAL))
-    model.opt.timestep = INTERVAL
-    data = mujoco.MjData(model)
-    random = np.random.default_rng(seed)
-    frequency, phase = random.uniform(0.2, 1.5, 4), random.uniform(0, 2 * np.pi, 4)
-    time = np.arange(round(SECONDS / INTERVAL / STEPS) + 1) * INTERVAL * STEPS
-    turned = 2 * np.pi * frequency * time[:, None] + phase
-    wave = 0.3 * (np.sin(turned) - np.sin(phase)).sum(axis=1)
-    rows = []
-    for at, (now, then) in enumerate(pairwise(wave)):
-        for step in range(STEPS):
-            position, velocity = float(data.qpos[0]), float(data.qvel[0])
-            command = now + (then - now) * step / STEPS
-            effort = drive(REAL["kp"] * (command - position) - DAMPING * velocity, velocity)
-            if not step:
-                noise = random.standard_normal(2) * [1e-3, effort_noise]
-                rows.append((time[at], position + noise[0], effort + noise[1], now))
-            data.ctrl[0] = effort
-            mujoco.mj_step(model, data)
-    head = "time,swing.position,swing.effort,swing.command"
-    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=head, comments="")
-    return path
+    assert text != MODEL
+
+    def actuate(data: mujoco.MjData, command: float) -> None:
+        position, velocity = float(data.qpos[0]), float(data.qvel[0])
+        data.ctrl[0] = drive(REAL["kp"] * (command - position) - DAMPING * velocity, velocity)
+
+    plant = Plant(text.format(**REAL), actuate, INTERVAL)
+    return write_run(path, seed, plant, Motion(5.0, 0.3, highest=1.5), (1e-3, effort_noise))
 
 
 def identified(folder: Path, drive: Drive) -> dict[str, Any]:
     """``identification.json`` of two runs to fit and one held out."""
     (folder / "model.xml").write_text(MODEL.format(**NOMINAL))
-    *fit, held = (write_run(folder / f"{n}.csv", seed, drive) for seed, n in enumerate("abc", 1))
+    *fit, held = (write(folder / f"{n}.csv", seed, drive) for seed, n in enumerate("abc", 1))
     (folder / "out").mkdir()
     return identify_files({
         "model": str(folder / "model.xml"),
@@ -192,7 +173,7 @@ def test_only_systematic_differences_from_the_law_of_a_servo_count(
 ) -> None:
     (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
     robot = load(tmp_path / "model.xml")
-    runs = [write_run(tmp_path / f"{n}.csv", k, drive, effort_noise) for k, n in enumerate("ab", 1)]
+    runs = [write(tmp_path / f"{n}.csv", k, drive, effort_noise) for k, n in enumerate("ab", 1)]
     read = [
         one
         for path in runs

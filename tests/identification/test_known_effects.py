@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from driven_pendulum import Motion, Plant, write_run
 from test_identify_simulation import MODEL, NOMINAL, REAL
 
 from pytest_twin.effects.sensing import EffortBias, EffortScale
@@ -21,8 +21,6 @@ from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import Realization, load
 from pytest_twin.twin import load_twin
 
-SECONDS, INTERVAL, STEPS = 8.0, 0.0005, 40
-"""Length of a recording and step of the plant, s; steps between two samples."""
 SPRING, DRAG = 0.8, 0.06
 """N*m/rad and N*m*s^2/rad^2, which the MJCF contains."""
 OFFSET, RIPPLE, HARMONIC, BIAS = 0.4, 0.3, 3.0, 0.06
@@ -45,31 +43,16 @@ def text(values: dict[str, float]) -> str:
     return out
 
 
-def write_run(path: Path, seed: int) -> Path:
-    """Write encoder readings, efforts and commands of the real pendulum, at 50 Hz."""
-    model = mujoco.MjModel.from_xml_string(text(REAL))
-    model.opt.timestep = INTERVAL
-    data = mujoco.MjData(model)
-    random = np.random.default_rng(seed)
-    frequency, phase = random.uniform(0.2, 1.2, 4), random.uniform(0, 2 * np.pi, 4)
-    time = np.arange(round(SECONDS / INTERVAL / STEPS) + 1) * STEPS * INTERVAL
-    turned = 2 * np.pi * frequency * time[:, None] + phase
-    wave = 0.4 * (np.sin(turned) - np.sin(phase)).sum(axis=1)
-    rows = []
-    for now, (command, after) in zip(time, pairwise(wave), strict=False):
-        for step in range(STEPS):
-            # The servo sees its encoder.
-            data.ctrl[0] = command + (after - command) * step / STEPS - BIAS
-            data.qfrc_applied[0] = -OFFSET + RIPPLE * np.sin(HARMONIC * data.qpos[0])
-            if not step:
-                mujoco.mj_forward(model, data)
-                noise = random.standard_normal(2) * [1e-4, 5e-3]
-                read = data.qpos[0] + BIAS + noise[0]
-                rows.append((now, read, data.actuator_force[0] + noise[1], command))
-            mujoco.mj_step(model, data)
-    head = "time,swing.position,swing.effort,swing.command"
-    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=head, comments="")
-    return path
+def actuate(data: mujoco.MjData, command: float) -> None:
+    """The servo sees its encoder; the forces of the effects act on the joint."""
+    data.ctrl[0] = command - BIAS
+    data.qfrc_applied[0] = -OFFSET + RIPPLE * np.sin(HARMONIC * data.qpos[0])
+
+
+def write(path: Path, seed: int) -> Path:
+    """Write a run of the real pendulum."""
+    plant = Plant(text(REAL), actuate, interval=0.0005, encoder_bias=BIAS)
+    return write_run(path, seed, plant, Motion(8.0, amplitude=0.4, highest=1.2), (1e-4, 5e-3))
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +72,7 @@ def diagnosed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def identified(diagnosed: Path) -> dict[str, Any]:
-    *fit, held = (write_run(diagnosed / f"{n}.csv", seed) for seed, n in enumerate("abc", 1))
+    *fit, held = (write(diagnosed / f"{n}.csv", seed) for seed, n in enumerate("abc", 1))
     (diagnosed / "out").mkdir()
     document = identify_files({
         "model": str(diagnosed / "model.xml"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_drive_effects import limited, write_run
+from test_drive_effects import limited, write
 from test_identify_simulation import MODEL, NOMINAL
 
 from pytest_twin.errors import RecordingError
@@ -65,7 +65,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name / "model.xml").write_text(MODEL.format(**NOMINAL))
         (folder / name / "twin.yaml").write_text(text)
     for seed, name in enumerate(("a.csv", "b.csv", "c.csv"), 1):
-        as_recorded(write_run(folder / "plain" / name, seed, limited(1.0)), folder / "motor" / name)
+        as_recorded(write(folder / "plain" / name, seed, limited(1.0)), folder / "motor" / name)
     return folder
 
 
@@ -126,7 +126,7 @@ def test_a_servo_on_the_side_of_the_motor_has_its_gains_at_the_joint(tmp_path: P
     (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
     (tmp_path / "twin.yaml").write_text(TWIN)
     runs = [
-        as_recorded(write_run(tmp_path / "p.csv", seed, lambda effort, _: effort),
+        as_recorded(write(tmp_path / "p.csv", seed, lambda effort, _: effort),
                     tmp_path / f"{seed}.csv")
         for seed in (1, 2, 3)
     ]  # fmt: skip
@@ -163,7 +163,7 @@ def test_an_identification_needs_the_joint_that_also_turns_a_motor(tmp_path: Pat
     (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
     other = TWIN.replace("    gear:", "    shared_with: {joint: wrist}\n    gear:")
     (tmp_path / "twin.yaml").write_text(other)
-    run = as_recorded(write_run(tmp_path / "p.csv", 1, limited(1.0)), tmp_path / "a.csv")
+    run = as_recorded(write(tmp_path / "p.csv", 1, limited(1.0)), tmp_path / "a.csv")
     with pytest.raises(RecordingError, match="its motor is also turned by wrist, which is not in"):
         identified(tmp_path / "out", tmp_path / "twin.yaml", [run, run, run])
 
