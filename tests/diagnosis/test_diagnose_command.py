@@ -27,7 +27,8 @@ pytestmark = pytest.mark.usefixtures("commands_in_process")
 def delayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a diagnosis of recordings with a command delay of 20 ms at one joint."""
     folder = tmp_path_factory.mktemp("delayed")
-    arguments = ["diagnose", "--seconds", "0", *case(folder, delay=0.02, joint=1, metadata={})]
+    words = case(folder, seconds=2.2, delay=0.02, joint=1, metadata={})
+    arguments = ["diagnose", "--seconds", "0", *words]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert cli.main([*arguments, "--out", str(folder / "out")]) == 0

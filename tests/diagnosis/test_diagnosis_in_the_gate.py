@@ -40,7 +40,7 @@ def run(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 def twin(root: Path, **hidden: float) -> Path:
     """Write a twin with one joint and three recordings of its robot; two of them have a golden."""
     recordings = root / "recordings"
-    case(recordings, joints=JOINTS, **hidden)
+    case(recordings, joints=JOINTS, seconds=2.2, **hidden)
     (recordings / "model.xml").rename(root / "model.xml")
     (root / "twin.yaml").write_text("name: arm\nmodel: model.xml\n")
     folder = root / "golden" / "replay"

@@ -54,7 +54,7 @@ def test_an_effect_that_was_compared_with_nothing_in_time_is_kept_with_low_confi
     tmp_path: Path,
 ) -> None:
     """The pendulum also has viscous friction, which the search did not come to."""
-    realization, trials = one_pendulum(tmp_path, seconds=2.0, dry=DRY, viscous=VISCOUS)
+    realization, trials = one_pendulum(tmp_path, seconds=1.4, dry=DRY, viscous=VISCOUS)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
     run = Run()
     selection = EffectSelection(prepared.problem, run)
@@ -91,7 +91,7 @@ def test_all_drive_parameters_are_fitted_together_and_the_absent_ones_pruned(
 ) -> None:
     """The search found dry friction only; the pendulum also has viscous friction and a delay."""
     monkeypatch.setattr(cma_es_fit, "_EVALUATIONS", 16)
-    realization, trials = one_pendulum(tmp_path, seconds=2.0, dry=DRY, viscous=VISCOUS, delay=DELAY)
+    realization, trials = one_pendulum(tmp_path, seconds=1.4, dry=DRY, viscous=VISCOUS, delay=DELAY)
     whole, cut, longer = (
         prepare(realization, trials.fit, trials.held_out, threads=1, window=window)
         for window in (None, WINDOW, 1.0)
@@ -136,7 +136,7 @@ def test_the_confidence_of_a_drive_effect_is_at_most_half_and_less_if_its_remova
 
 
 def test_stick_slip_needs_a_friction_effect_and_a_residual_above_ten_floors(tmp_path: Path) -> None:
-    realization, trials = one_pendulum(tmp_path, seconds=2.0, dry=DRY)
+    realization, trials = one_pendulum(tmp_path, seconds=1.4, dry=DRY)
     prepared = prepare(realization, trials.fit, trials.held_out, threads=1)
     found = search(prepared, trials, EffectSelection(prepared.problem))
     assert prepared.problem.joints == ONE

@@ -27,7 +27,7 @@ def two_errors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Realization, T
     assert right in text
     model = folder / "model.xml"
     model.write_text(text.replace(right, right.replace(f"{DAMPING}", f"{DAMPING + EXCESS}")))
-    path = record(folder / "seen.mcap", 1, delay=0.02)
+    path = record(folder / "seen.mcap", 1, seconds=2.2, delay=0.02)
     return load(model), make_trial(read_recording(path))
 
 
@@ -77,7 +77,7 @@ def test_each_joint_that_failed_is_explained_by_its_own_cause(
 def only_effect(folder: Path, text: str, **hidden: float) -> LikelyEffect:
     """The only likely effect of a recording whose left joint failed; ``text`` is its model."""
     (folder / "model.xml").write_text(text)
-    trial = make_trial(read_recording(record(folder / "seen.mcap", 1, **hidden)))
+    trial = make_trial(read_recording(record(folder / "seen.mcap", 1, seconds=2.2, **hidden)))
     (found,) = quick_diagnosis(load(folder / "model.xml"), trial, failed=("left",)).likely_effects
     return found
 

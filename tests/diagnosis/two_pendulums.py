@@ -108,7 +108,7 @@ def record(
     seed: int,
     *,
     role: str | None = None,
-    seconds: float = 2.2,
+    seconds: float = 1.2,
     joints: tuple[str, ...] = JOINTS,
     noise: float = 1e-4,
     metadata: Mapping[str, str] = DECLARED,
@@ -161,12 +161,16 @@ def write(
     )
 
 
-def case(folder: Path, joints: tuple[str, ...] = JOINTS, **hidden: float) -> list[str]:
+def case(
+    folder: Path, joints: tuple[str, ...] = JOINTS, *, seconds: float = 1.2, **hidden: float
+) -> list[str]:
     """Write a model and three recordings, one held out; return them as command-line arguments."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(mjcf(joints))
     files = [
-        record(folder / f"{role}{seed}.mcap", seed, role=role, joints=joints, **hidden)
+        record(
+            folder / f"{role}{seed}.mcap", seed, role=role, seconds=seconds, joints=joints, **hidden
+        )
         for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
     ]
     return [str(folder / "model.xml"), *map(str, files)]
