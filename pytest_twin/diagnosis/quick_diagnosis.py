@@ -329,7 +329,7 @@ class _EffectSearch:
         removed = 1.0 - _squared(after[best], whole, counted) / _squared(
             self.before, whole, counted
         )
-        if evidence[best] < QUICK.earns or not removed >= QUICK.removes:
+        if not removed >= QUICK.removes:
             return None
         named = tried[best]
         place = _place(problem, named)

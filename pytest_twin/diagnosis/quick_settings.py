@@ -10,8 +10,7 @@ class QuickSettings:
     """Bounds and thresholds of the quick diagnosis.
 
     They were chosen so that a failing replay golden has its likely cause within about 10 s, on
-    simulated development cases. Evidence is a log-likelihood ratio; floors are multiples of a
-    signal's noise floor.
+    simulated development cases. Floors are multiples of a signal's noise floor.
 
     Attributes:
         looked_at: s of a longer recording that are used, around its worst error.
@@ -22,7 +21,6 @@ class QuickSettings:
         most_joints: joints whose effects are tried.
         candidates: models that are fitted by simulation.
         iterations: steps of each fit.
-        earns: evidence that an effect must gain over the nominal model.
         removes: share of the squared error that an effect must remove.
         clearly_worse: factor on the squared error of the best model, or on the squared noise floor
             where that is larger, up to which an alternative is listed.
@@ -42,7 +40,6 @@ class QuickSettings:
     most_joints: int = 2
     candidates: int = 5
     iterations: int = 3
-    earns: float = 5.0
     removes: float = 0.3
     clearly_worse: float = 3.0
     most_alternatives: int = 2
