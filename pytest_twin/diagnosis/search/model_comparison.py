@@ -217,16 +217,13 @@ class ModelComparison:
             return rival
 
     def _fit_to_convergence(self, rival: ScoredModel) -> ScoredModel:
-        # The time of an impact within a step depends on the parameters, and the error on that time.
-        for _ in range(COMPARISON.rough_rounds if rival.hypothesis.is_rough else 1):
-            start, weights = rival.hypothesis, self.weights(rival)
-            problem = self.problem.at(start)
-            (converged,) = self._fitted(problem, [start], weights, LONG, slopes=True)
-            if not np.isfinite(converged.held_residual).all():
-                # A fit that diverges on what it has not seen is none: stay where it did not.
-                return self._fitted(problem, [start], weights, 0, slopes=True)[0]
-            rival = converged
-        return rival
+        start, weights = rival.hypothesis, self.weights(rival)
+        problem = self.problem.at(start)
+        (converged,) = self._fitted(problem, [start], weights, LONG, slopes=True)
+        if not np.isfinite(converged.held_residual).all():
+            # A fit that diverges on held-out recordings is none: stay where it did not.
+            (converged,) = self._fitted(problem, [start], weights, 0, slopes=True)
+        return converged
 
     def is_spent(self, found: Sequence[Term]) -> bool:
         """Whether this search, or all searches together, have used their simulations.

@@ -57,7 +57,6 @@ class ComparisonSettings:
 
     Attributes:
         hopeless: evidence behind the best after the first iterations beyond which a fit ends.
-        rough_rounds: fits of a model whose prediction depends on parameters in leaps.
         simulations: of all recordings, that one search may take.
         simulations_per_effect: more of them for each effect that was found.
         effects_counted: effects of one joint that are counted so. Many effects at one joint mean
@@ -65,7 +64,6 @@ class ComparisonSettings:
     """
 
     hopeless: float = 500.0
-    rough_rounds: int = 2
     simulations: int = 300
     simulations_per_effect: int = 50
     effects_counted: int = 3
