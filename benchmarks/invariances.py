@@ -97,7 +97,7 @@ def differences(a: Diagnosis, b: Diagnosis, scale: float) -> list[str]:
     found: list[str] = []
     if a.verdict != b.verdict:
         found.append(f"verdict: {a.verdict}, then {b.verdict}")
-    first, second = ({(f.effect, f.joint): f for f in d.explained.findings} for d in (a, b))
+    first, second = ({(f.effect, f.joint): f for f in d.explanation.findings} for d in (a, b))
     if first.keys() != second.keys():
         found.append(f"findings: {sorted(first)}, then {sorted(second)}")
     for key in first.keys() & second.keys():
@@ -123,7 +123,7 @@ def main() -> int:
         "order of joints": (both, swapped, 1.0),
     }.items():
         said = differences(*pair)
-        names = [(f.effect, f.joint) for f in pair[0].explained.findings]
+        names = [(f.effect, f.joint) for f in pair[0].explanation.findings]
         print(f"{name}: {names}: {'the same' if not said else '; '.join(said)}")
         bad += bool(said)
     return min(bad, 1)

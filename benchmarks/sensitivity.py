@@ -96,7 +96,7 @@ def full_diagnosis(folder: Path) -> Answer:
         "verdict": found.verdict,
         "findings": {
             f"{f.effect} at {f.joint}": {name: e.value for name, e in f.parameters.items()}
-            for f in found.explained.findings
+            for f in found.explanation.findings
             if not f.small
         },
         "simulations": round(found.cost.simulations),
@@ -114,7 +114,7 @@ def first_diagnosis(folder: Path) -> Answer:
     return {
         "verdict": f"error at {found.joint}: {found.where.summary}",
         "findings": {
-            f"{s.place[0]} at {', '.join(s.place[1])}, else {[e for e, _ in s.rivals]}": {
+            f"{s.place[0]} at {', '.join(s.place[1])}, else {[e for e, _ in s.alternatives]}": {
                 name: value for name, (value, _) in s.values.items()
             }
             for s in found.likely_effects

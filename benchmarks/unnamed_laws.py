@@ -38,13 +38,13 @@ def removed(folder: Path, joint: str) -> tuple[float, str]:
     realization = load(folder / "model.xml")
     recordings = sorted((folder / "recordings").glob("*.mcap"))
     trials = read_trials(recordings, [], TOPICS, realization.structure)
-    given = ModelSetup.of(realization, None)
+    setup = ModelSetup.of(realization, None)
     with np.errstate(over="ignore", invalid="ignore"):
-        near, _ = build_problem(given, trials, [], window=0.5)
+        near, _ = build_problem(setup, trials, [], window=0.5)
         laws = fit_free_laws(near, EMPTY, {joint: TimeAndRegime("", {})}, near.problem.fit)
         if not laws.laws:
             return 0.0, "; ".join(laws.notes)
-        problem = build_problem(given, trials, [])[0].problem
+        problem = build_problem(setup, trials, [])[0].problem
         residuals = problem.errors([EMPTY, laws.hypothesis], problem.held_out)
     before, after = (float(np.sum(r[:, problem.joints.index(joint)] ** 2)) for r in residuals)
     return 1.0 - after / before, "; ".join(law.words for law in laws.laws)

@@ -31,7 +31,7 @@ from scipy.interpolate import CubicSpline
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
@@ -230,7 +230,7 @@ def main() -> None:
         pieces = rms(open_loop(held_out, values, WINDOW, 0.0))
         print(f"  {name}: {errors} %; {1e3 * whole:.3g} mm, {1e3 * pieces:.3g} mm")
     patched = load_model(find_model(why))
-    outside_mjcf = patched.patched or Patched((JOINT,))
+    outside_mjcf = patched.patched or PatchedModel((JOINT,))
     predicted = replay_patched(patched.realization, outside_mjcf, [held_out], threads=1)[0]
     off = 1e3 * rms(predicted.position - held_out.position)
     print(f"  the patched model, replayed by the package: {off:.3g} mm over the whole run")

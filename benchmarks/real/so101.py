@@ -26,7 +26,7 @@ import numpy as np
 from recorded import folder_of
 
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
@@ -70,7 +70,7 @@ def errors(model: Path, trials: list[Trial]) -> list[np.ndarray | None]:
     """(joints,) RMS position errors of each trial, rad; None if it diverged."""
     loaded = load_model(find_model(model))
     joints = loaded.realization.joints
-    patched = loaded.patched or Patched(tuple(joints))
+    patched = loaded.patched or PatchedModel(tuple(joints))
     out: list[np.ndarray | None] = []
     for trial in trials:
         try:

@@ -35,7 +35,7 @@ from recorded import folder_of
 from pytest_twin.arrays import FloatArray
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
@@ -186,7 +186,7 @@ def recordings(realization: Realization, gains: Sequence[int]) -> list[Trial]:
     return [make_trial(read_recording(folder / n), realization.structure) for n in names]
 
 
-def neighbours(patched: Patched) -> list[Patched]:
+def neighbours(patched: PatchedModel) -> list[PatchedModel]:
     """Return the same effects with independent random changes of every value."""
     random = np.random.default_rng(0)
 
@@ -226,10 +226,10 @@ def diagnosed(out: Path, gain: int, seconds: float) -> tuple[str, FloatArray, Fl
         )
         words.append(f"{finding['effect']} ({values})")
     loaded = load_model(find_model(why))
-    patched = loaded.patched or Patched(("pendulum",))
+    patched = loaded.patched or PatchedModel(("pendulum",))
     trials = recordings(loaded.realization, [gain])
 
-    def errors(each: Patched) -> list[float]:
+    def errors(each: PatchedModel) -> list[float]:
         predicted = replay_patched(loaded.realization, each, trials, threads=1)
         pairs = zip(predicted, trials, strict=True)
         return [float(np.abs(p.position - t.position).mean()) for p, t in pairs]

@@ -20,7 +20,7 @@ from pytest_twin.adaptation.laws import law_of
 from pytest_twin.adaptation.update_trial import try_update
 from pytest_twin.adaptation_spec import ShadowPolicy
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.replay import replay_whole
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Quantity, si_unit
@@ -136,7 +136,7 @@ def _compare_twins(
         after = [_replay(other, trial) for trial in trials]
         notes.append("the candidate declares no residual and no update: no faults to inject")
     else:
-        if patched_of(other.realization) is not None:
+        if read_patched_model(other.realization) is not None:
             raise SpecError(
                 "a residual cannot be combined with effects outside the model's MJCF",
                 path=other.realization.path,
@@ -202,7 +202,7 @@ def _require_joints(side: ComparedTwin, trials: Sequence[Trial]) -> None:
 
 
 def _replay(side: ComparedTwin, trial: Trial) -> Replayed:
-    patched = patched_of(side.realization)
+    patched = read_patched_model(side.realization)
     if patched is not None:
         return replay_whole(side.realization, patched, trial)
     return replay(side.realization, [trial])[0]

@@ -18,7 +18,7 @@ from pytest_twin.adaptation.recursive import (
 )
 from pytest_twin.adaptation_spec import ShadowPolicy, UpdateSpec
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.errors import RecordingError, SpecError
 from pytest_twin.realization import Realization
 from pytest_twin.replay import Row, replay_rows, row_of
@@ -56,7 +56,7 @@ def try_update(
         SpecError: the model lacks parameters, or the base has effects outside of its model.
         RecordingError: no recording is long enough for a window.
     """
-    if patched_of(realization) is not None:
+    if read_patched_model(realization) is not None:
         raise SpecError(
             "an update cannot be combined with effects outside the model's MJCF",
             path=realization.path,

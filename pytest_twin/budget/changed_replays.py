@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.effect_parameters import EffectParameter, with_values
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.replay import patched_segment, predict_segments, replay_whole
 from pytest_twin.errors import SimulationError
 from pytest_twin.realization import Realization
@@ -59,7 +59,7 @@ class ChangedReplays:
 
     def __init__(self, realization: Realization, trial: Trial) -> None:
         self._realization, self._row = realization, row_of(realization, trial)
-        self._patched = patched_of(realization)
+        self._patched = read_patched_model(realization)
         if self._patched is None:
             self.nominal = self._plain(Change(np.zeros(trial.position.shape)))
         else:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Parameter
 from pytest_twin.realization import Realization
@@ -46,7 +46,7 @@ class EffectParameter:
 
 
 def effect_parameter(
-    name: str, realization: Realization, patched: Patched | None
+    name: str, realization: Realization, patched: PatchedModel | None
 ) -> EffectParameter | None:
     """Return the parameter that a record names, or None if the realization does not have it.
 
@@ -79,7 +79,7 @@ def effect_parameter(
     return EffectParameter(effect, joint, law, value, *bounds(law, value, total), holder.is_in_mjcf)
 
 
-def with_values(patched: Patched, values: Mapping[EffectParameter, float]) -> Patched:
+def with_values(patched: PatchedModel, values: Mapping[EffectParameter, float]) -> PatchedModel:
     """Return the effects with other values of parameters that the MJCF does not contain.
 
     Args:

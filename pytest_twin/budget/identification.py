@@ -20,7 +20,7 @@ from pytest_twin.budget.shifts import DELAYS, NO_RULE, Shift, shift_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor, SharedMotor
 from pytest_twin.realization import Realization
@@ -74,7 +74,7 @@ def identified_parameters(
     column_of = columns_of(record, regressor)
     kept, columns, shifting, shifts, left_out = [], [], [], [], []
     acting, effects = [], []
-    patched = patched_of(realization)
+    patched = read_patched_model(realization)
     for at, name in enumerate(record.covariance_names):
         joint, _, effect = name.partition(".")
         rule = shift_of(name, record, realization) if joint in task.chain.joints else NO_RULE

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.realization import Realization
 
@@ -92,7 +92,7 @@ def shift_of(name: str, record: IdentificationRecord, realization: Realization) 
 
 def _has_fitted_gain(realization: Realization, record: IdentificationRecord, joint: str) -> bool:
     """Whether the model's servo has the gain of the record, and not that of the nominal model."""
-    patched = patched_of(realization)
+    patched = read_patched_model(realization)
     effects = () if patched is None else patched.effects
     if any((e.effect, e.joint) == ("controller_gain", joint) and e.is_in_mjcf for e in effects):
         return True

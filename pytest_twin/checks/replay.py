@@ -338,11 +338,11 @@ def _tolerances_of(golden: Golden, joint: str) -> set[str]:
 
 def _replay(realization: Realization, trial: Trial, progress: Progress) -> Replayed:
     """Replay a trial, with effects that a diagnosis steps together with the model."""
-    from pytest_twin.diagnosis.patched.model import patched_of
+    from pytest_twin.diagnosis.patched.model import read_patched_model
     from pytest_twin.diagnosis.patched.replay import replay_whole
     from pytest_twin.replay import replay
 
-    patched = patched_of(realization)
+    patched = read_patched_model(realization)
     if patched is None:
         return replay(realization, [trial], progress=progress)[0]
     return replay_whole(realization, patched, trial, progress=progress)

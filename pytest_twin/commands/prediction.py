@@ -14,7 +14,7 @@ from pytest_twin.metrics.residual import residual
 from pytest_twin.trial import Trial, predicted_rows
 
 if TYPE_CHECKING:
-    from pytest_twin.diagnosis.patched.model import Patched
+    from pytest_twin.diagnosis.patched.model import PatchedModel
     from pytest_twin.effects.segment import Predicted
     from pytest_twin.realization import Realization
     from pytest_twin.replay import Replayed
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def predict(
     realization: Realization,
-    patched: Patched | None,
+    patched: PatchedModel | None,
     trials: Sequence[Trial],
     progress: Callable[[float], None],
 ) -> tuple[list[JointSeries], tuple[str, ...]]:

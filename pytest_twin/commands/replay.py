@@ -31,7 +31,7 @@ from pytest_twin.trial import at_command_stamps, make_trials, recording_at
 from pytest_twin.twin import FILE_NAME, Twin, load_twin, model_suffixes
 
 if TYPE_CHECKING:
-    from pytest_twin.diagnosis.patched.model import Patched
+    from pytest_twin.diagnosis.patched.model import PatchedModel
     from pytest_twin.realization import Realization
 
 HELP = "simulate a model under a recording's commands, open loop, and write the predicted states"
@@ -244,7 +244,7 @@ class LoadedModel:
     realization: Realization
     topics: Mapping[str, str]
     options: RecordingOptions
-    patched: Patched | None
+    patched: PatchedModel | None
 
 
 def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
@@ -257,7 +257,7 @@ def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
     Raises:
         TwinError: the model cannot be loaded.
     """
-    from pytest_twin.diagnosis.patched.model import patched_of
+    from pytest_twin.diagnosis.patched.model import read_patched_model
     from pytest_twin.realization import load
 
     twin: Twin | None = None
@@ -269,7 +269,7 @@ def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
     realization = load(file, twin=twin, name=name, search=search)
     topics = dict(TOPICS if twin is None else twin.topics)
     options = NO_OPTIONS if twin is None else twin.recordings
-    return LoadedModel(realization, topics, options, patched_of(realization))
+    return LoadedModel(realization, topics, options, read_patched_model(realization))
 
 
 def _check_out(out: Path, recording: Path) -> None:

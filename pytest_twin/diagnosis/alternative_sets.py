@@ -8,8 +8,8 @@ from pytest_twin.diagnosis.equivalent_sets import compare_sets
 from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.recorded_range import RecordedRange
-from pytest_twin.diagnosis.refusal import allowed_without, refused
-from pytest_twin.diagnosis.run import Run, Scored
+from pytest_twin.diagnosis.refusal import refused_effects, reportable_without
+from pytest_twin.diagnosis.run import Run, ScoredHypothesis
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import label
 from pytest_twin.diagnosis.search.pruning import prune
@@ -20,13 +20,13 @@ OTHER_SETS = "other sets of effects instead of the final one"
 """Name of the comparison, for the reader."""
 
 
-def with_limited_confidence(found: SearchResult) -> SearchResult:
+def limit_confidence(found: SearchResult) -> SearchResult:
     """The result with confidences of at most 80 %, because a search or comparison is missing."""
     confidence = {t: min(c, FINDINGS.most_uncompared) for t, c in found.selected.confidence.items()}
     return replace(found, selected=replace(found.selected, confidence=confidence))
 
 
-def with_alternative_sets(
+def compare_with_other_sets(
     found: SearchResult, run: Run | None = None
 ) -> tuple[SearchResult, float]:
     """The result with the most likely set of effects, and with confidences against other sets.
@@ -52,18 +52,20 @@ def with_alternative_sets(
     run = Run() if run is None else run
     run.begin("comparison with other sets", problem)
     comparison = ModelComparison(problem, run)
-    allowed = allowed_without(problem, found.pruned.closest, recorded)
-    compared = compare_sets(comparison, final, allowed, found.selected.rivals)
+    allowed = reportable_without(problem, found.pruned.closest, recorded)
+    compared = compare_sets(comparison, final, allowed, found.selected.nearly_as_good)
     for other in compared.sets:
         run.step(
             problem, "exchange of a set", "rejected",
-            f"its predictions differ by at most {other.apart:.3g} floors; it shares the confidence",
-            Scored(other.rival.hypothesis, other.evidence), Scored(compared.best.hypothesis, 0.0),
+            f"its predictions differ by at most {other.prediction_difference:.3g} floors; it "
+            "shares the confidence",
+            ScoredHypothesis(other.model.hypothesis, other.evidence),
+            ScoredHypothesis(compared.best.hypothesis, 0.0),
         )  # fmt: skip
     before = replace(found.selected, best=replace(found.selected.best, fitted=found.pruned.fitted))
     selected, pruned = share_confidence(before, compared), found.pruned
     notes = list[str]()
-    why = refused(problem, selected.best.hypothesis, recorded)
+    why = refused_effects(problem, selected.best.hypothesis, recorded)
     while why:
         # No other set explains as much: the refused effects are removed, with a note.
         notes += [f"rejected: {label(problem, term)}: {reason}" for term, reason in why.items()]
@@ -71,13 +73,13 @@ def with_alternative_sets(
         selected = replace(
             selected, best=comparison.fit_to_convergence(comparison.score_without_fit(kept))
         )
-        why = refused(problem, kept, recorded) if kept.terms else {}
+        why = refused_effects(problem, kept, recorded) if kept.terms else {}
     if selected.best.hypothesis.terms != final.terms:
         if selected.not_simulated:
             # As in the search that ended early: the rest may be an effect that it did not come to.
             selected = replace(selected, not_simulated=frozenset(selected.best.hypothesis.terms))
         pruned = prune(problem, selected)
-        removed = refused(problem, final, recorded)
+        removed = refused_effects(problem, final, recorded)
         notes[:0] = [
             f"rejected: {label(problem, term)}: {reason}. It compensates for another effect"
             for term, reason in removed.items()
@@ -87,5 +89,5 @@ def with_alternative_sets(
     out = replace(found, selected=selected, pruned=pruned)
     if not compared.is_complete:
         run.skip(f"{OTHER_SETS} (begun, not finished)")
-        out = with_limited_confidence(out)
+        out = limit_confidence(out)
     return out, compared.simulations

@@ -11,21 +11,21 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from pytest_twin.diagnosis.deadline import CHECK, OutOfTime, no_bound
+from pytest_twin.diagnosis.deadline import CHECK, OutOfTime, no_limit
 from pytest_twin.diagnosis.problem import Problem
 
-RESERVED, LAST = 0.2, 0.1
-"""Shares of the time limit: ``RESERVED`` is kept for the steps after the search (final parameters,
-intervals, test recordings, report), ``LAST`` for those after the final parameters. With six joints
-on two cores, imports, reading and the report take 8 to 10 s."""
-COMPARED = 0.25
+RESERVED_SHARE, FINAL_SHARE = 0.2, 0.1
+"""Shares of the time limit: ``RESERVED_SHARE`` is kept for the steps after the search (final
+parameters, intervals, test recordings, report), ``FINAL_SHARE`` for those after the final
+parameters. With six joints on two cores, imports, reading and the report take 8 to 10 s."""
+COMPARISON_SHARE = 0.25
 """Share of the time limit that the search leaves for the comparison of its result with other sets
 of effects. A finding without its alternatives is of little use: with one joint, a command delay and
 a sensor delay predict the same. The comparison takes a quarter of the time of a complete
 diagnosis."""
-STRETCH = 5.0
+MAX_WALL_RATIO = 5.0
 """Largest ratio of wall-clock time to the time limit, if other programs use the processors."""
-MOST_SIMULATIONS = 1200
+MAX_SIMULATIONS = 1200
 """Largest number of simulations of all data for all searches of a diagnosis: four times the limit
 of one search. A case with one joint needs 170 to 830."""
 
@@ -44,13 +44,13 @@ class Budget:
         simulations: limit of simulations of all data, for all searches together.
         clock: function that returns a monotonic time in s.
         own_time: whether time in which other programs use the processors is not counted, up to
-            ``STRETCH`` times ``seconds``.
+            ``MAX_WALL_RATIO`` times ``seconds``.
     """
 
     def __init__(
         self,
         seconds: float = 0.0,
-        simulations: float = MOST_SIMULATIONS,
+        simulations: float = MAX_SIMULATIONS,
         clock: Callable[[], float] = time.monotonic,
         own_time: bool = False,
     ) -> None:
@@ -61,9 +61,9 @@ class Budget:
         self.problems: list[Problem] = []
         self._clock = clock
         self._start, self._start_computing = clock(), computing_seconds()
-        self._apart = 0.0
-        self._kept = 0.0
-        self._most = simulations
+        self._uncounted = 0.0
+        self._kept_share = 0.0
+        self._limit = simulations
 
     def add(self, problem: Problem) -> None:
         """Count the work of one more problem."""
@@ -82,7 +82,7 @@ class Budget:
             return wall
         # A search computes all the time, so wall time without computing went to other programs.
         computing = computing_seconds() - self._start_computing
-        return max(min(wall, computing), wall / STRETCH)
+        return max(min(wall, computing), wall / MAX_WALL_RATIO)
 
     @property
     def left(self) -> float:
@@ -92,62 +92,68 @@ class Budget:
     @property
     def is_out_of_time(self) -> bool:
         """Whether the search must end: its share of the time is over, or it was stopped."""
-        over = bool(self.seconds) and self.elapsed > (1.0 - RESERVED - self._kept) * self.seconds
+        over = (
+            bool(self.seconds)
+            and self.elapsed > (1.0 - RESERVED_SHARE - self._kept_share) * self.seconds
+        )
         return self.stopped or over
 
     @property
     def was_short_of_time(self) -> bool:
         """Whether the time may have ended a search."""
-        limit = (1.0 - RESERVED - COMPARED) * self.seconds
+        limit = (1.0 - RESERVED_SHARE - COMPARISON_SHARE) * self.seconds
         return bool(self.seconds) and self.elapsed > limit
 
     @property
     def work(self) -> float:
         """Number of simulations of all data so far, those for free initial states included."""
-        return sum((p.stepped + p.memory.steps_for_initial_states) / p.once for p in self.problems)
+        return sum(
+            (p.simulated_steps + p.memory.steps_for_initial_states) / p.steps_per_simulation
+            for p in self.problems
+        )
 
     @property
     def is_spent(self) -> bool:
         """Whether the searches have used all simulations, or those of the present :meth:`part`."""
-        return self._searched > self._most
+        return self._used_by_searches > self._limit
 
     @contextmanager
     def part(self, share: float) -> Iterator[None]:
         """Context in which searches may use only a share (0 to 1) of the remaining simulations."""
-        most = self._most
-        self._most = self._searched + share * max(most - self._searched, 0.0)
+        most = self._limit
+        self._limit = self._used_by_searches + share * max(most - self._used_by_searches, 0.0)
         try:
             yield
         finally:
-            self._most = most
+            self._limit = most
 
     @property
-    def _searched(self) -> float:
-        return self._stepped - self._apart
+    def _used_by_searches(self) -> float:
+        return self._simulations - self._uncounted
 
     @property
-    def _stepped(self) -> float:
-        return sum(p.stepped / p.once for p in self.problems)
+    def _simulations(self) -> float:
+        return sum(p.simulated_steps / p.steps_per_simulation for p in self.problems)
 
     @contextmanager
-    def searching(self, kept: float = 0.0) -> Iterator[None]:
+    def searching(self, kept_share: float = 0.0) -> Iterator[None]:
         """Context in which simulations raise :class:`OutOfTime` when the search must end.
 
         Args:
-            kept: share of the time limit (0 to 1) that is kept for later searches.
+            kept_share: share of the time limit (0 to 1) that is kept for later searches.
         """
-        token, before = CHECK.set(self._check), self._kept
-        self._kept = kept
+        token, before = CHECK.set(self._check), self._kept_share
+        self._kept_share = kept_share
         try:
             yield
         finally:
-            self._kept = before
+            self._kept_share = before
             CHECK.reset(token)
 
     @contextmanager
     def fitting(self) -> Iterator[None]:
-        """Context in which simulations raise :class:`OutOfTime` when only ``LAST`` remains."""
-        token = CHECK.set(self._check_last)
+        """Context in which simulations raise :class:`OutOfTime` in the last ``FINAL_SHARE``."""
+        token = CHECK.set(self._check_final)
         try:
             yield
         finally:
@@ -156,25 +162,25 @@ class Budget:
     @contextmanager
     def reserved(self) -> Iterator[None]:
         """Context in which simulations are not interrupted; they use the reserved time."""
-        token = CHECK.set(no_bound)
+        token = CHECK.set(no_limit)
         try:
             yield
         finally:
             CHECK.reset(token)
 
     @contextmanager
-    def apart(self) -> Iterator[None]:
+    def uncounted(self) -> Iterator[None]:
         """Context whose simulations do not count for the limit of the searches."""
-        before = self._stepped
+        before = self._simulations
         try:
             yield
         finally:
-            self._apart += self._stepped - before
+            self._uncounted += self._simulations - before
 
     def _check(self) -> None:
         if self.is_out_of_time:
             raise OutOfTime
 
-    def _check_last(self) -> None:
-        if self.seconds and self.elapsed > (1.0 - LAST) * self.seconds:
+    def _check_final(self) -> None:
+        if self.seconds and self.elapsed > (1.0 - FINAL_SHARE) * self.seconds:
             raise OutOfTime

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
-from pytest_twin.diagnosis.prepare import discretization
+from pytest_twin.diagnosis.prepare import discretization_rms
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.verdict import JointError
 
@@ -23,7 +23,7 @@ def integration_errors(
     """
     return {
         joint: float(rms)
-        for joint, rms in zip(problem.joints, discretization(problem), strict=True)
+        for joint, rms in zip(problem.joints, discretization_rms(problem), strict=True)
         if joint in errors
         and errors[joint].after > INTEGRATOR.note_floors * errors[joint].floor
         and rms > times * errors[joint].after
@@ -46,7 +46,7 @@ def notes_on_coarse_step(
     if not hypothesis.terms:
         return []
     problem = problem.at(hypothesis)
-    own = dict(zip(problem.joints, discretization(problem).tolist(), strict=True))
+    own = dict(zip(problem.joints, discretization_rms(problem).tolist(), strict=True))
     large = integration_errors(problem, errors, INTEGRATOR.note_ratio)
     found_at = {problem.joints[t.joint] for t in hypothesis.terms if t.joint >= 0}
     step = 1e3 * problem.simulator.timestep

@@ -17,27 +17,31 @@ from pytest_twin.diagnosis.search.simplification import mean_start, values_of
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
+class SetSize:
     """Size of a set of effects; an effect that is common to all joints counts once.
 
     Attributes:
         effects: number of effects.
-        free: number of estimated parameters.
+        free_count: number of estimated parameters.
     """
 
     effects: int
-    free: int
+    free_count: int
 
 
-def size_of(problem: Problem, hypothesis: Hypothesis) -> Size:
+def set_size(problem: Problem, hypothesis: Hypothesis) -> SetSize:
     """Number of effects and parameters of a set, where common effects count once."""
-    repeated = [t for group in _common(problem, hypothesis) for t in group[1:]]
+    repeated = [t for group in _common_groups(problem, hypothesis) for t in group[1:]]
     values = hypothesis.theta
-    tied = sum(int(t.is_estimated(values[hypothesis.slice_of(t)]).sum()) for t in repeated)
-    return Size(len(hypothesis.terms) - len(repeated), hypothesis.free - tied)
+    repeated_parameters = sum(
+        int(t.is_estimated(values[hypothesis.slice_of(t)]).sum()) for t in repeated
+    )
+    return SetSize(
+        len(hypothesis.terms) - len(repeated), hypothesis.free_count - repeated_parameters
+    )
 
 
-def at_every_joint(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+def replace_robot_effects(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     """Sets with an effect at every joint instead of an effect of the whole robot.
 
     For example the same command delay at all joints instead of a sensor delay. These are effects
@@ -57,13 +61,13 @@ def at_every_joint(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]
     return out
 
 
-def tied(problem: Problem, hypothesis: Hypothesis, like: Hypothesis) -> Hypothesis:
+def tie_common_parameters(problem: Problem, hypothesis: Hypothesis, like: Hypothesis) -> Hypothesis:
     """A hypothesis in which effects that are common to all joints of ``like`` stay so.
 
     Their parameters get the mean over the joints.
     """
     theta = hypothesis.theta.copy()
-    for group in _common(problem, like):
+    for group in _common_groups(problem, like):
         scales = np.array([[problem.scales.value(p, t.joint) for p in t.parameters] for t in group])
         at = [hypothesis.slice_of(t) for t in group]
         mean = np.mean([hypothesis.theta[s] * scale for s, scale in zip(at, scales, strict=True)],
@@ -73,7 +77,7 @@ def tied(problem: Problem, hypothesis: Hypothesis, like: Hypothesis) -> Hypothes
     return hypothesis.with_theta(theta)
 
 
-def _common(problem: Problem, hypothesis: Hypothesis) -> list[list[Term]]:
+def _common_groups(problem: Problem, hypothesis: Hypothesis) -> list[list[Term]]:
     """Groups of terms: the same effect with the same values at every joint of several."""
     count, out = len(problem.joints), list[list[Term]]()
     for effect in dict.fromkeys(t.effect for t in hypothesis.terms if t.joint >= 0):

@@ -15,8 +15,8 @@ from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.findings import (
-    Explained,
-    explain,
+    Explanation,
+    build_explanation,
     held_out_gains,
     limit_contradicted_confidence,
     limit_unexplained_confidence,
@@ -26,10 +26,14 @@ from pytest_twin.diagnosis.findings import (
 )
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.physical_totals import at_zero
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.physical_totals import without_negative_totals
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.model_comparison import LONG, QUICK, ModelComparison
+from pytest_twin.diagnosis.search.model_comparison import (
+    FULL_ITERATIONS,
+    RANKING_ITERATIONS,
+    ModelComparison,
+)
 from pytest_twin.diagnosis.search.pruning import PrunedModel, refit_without_each
 from pytest_twin.diagnosis.search_result import (
     SearchResult,
@@ -50,23 +54,23 @@ class ChosenModel:
     """The chosen effects with their final parameters, before any test recording is used.
 
     Attributes:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         found: result of the search with the final parameters; its problem fits the fit and
             validation recordings together.
-        near: length in s of the windows in which the unexplained residual is located; None if the
-            problem of ``found`` is used.
+        location_window: length in s of the windows in which the unexplained residual is located;
+            None if the problem of ``found`` is used.
         notes: one line each, for the reader.
-        rival_simulations: number of simulations of all recordings for the comparison of the final
-            set of effects with others.
+        comparison_simulations: number of simulations of all recordings for the comparison of the
+            final set of effects with others.
         between: interpolation of the commands between their stamps, if only the effects decided
             it.
     """
 
-    given: ModelSetup
+    setup: ModelSetup
     found: SearchResult
-    near: float | None
+    location_window: float | None
     notes: tuple[str, ...]
-    rival_simulations: float = 0.0
+    comparison_simulations: float = 0.0
     between: CommandBetween | None = None
 
 
@@ -75,22 +79,22 @@ class TestedModel:
     """The chosen model, evaluated on the test recordings.
 
     Attributes:
-        explained: the findings, with their gains on the test recordings.
+        explanation: the findings, with their gains on the test recordings.
         tested: errors and verdict. Its problem holds out the test recordings, and has only the
             joints that they contain.
-        near: problem and trials in which the unexplained residual is located.
+        location: problem and trials in which the unexplained residual is located.
         notes: one line each, for the reader.
         problems: problems that were built, for the budget.
     """
 
-    explained: Explained
+    explanation: Explanation
     tested: SearchResult
-    near: tuple[Prepared, TrialSet]
+    location: tuple[PreparedProblem, TrialSet]
     notes: tuple[str, ...]
     problems: tuple[Problem, ...]
 
 
-def with_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
+def fit_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
     """The chosen effects, fitted to fit and validation recordings together.
 
     Without validation recordings the parameters are final already. If the search ran out of time,
@@ -100,71 +104,73 @@ def with_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
         found: result of the search.
         budget: limits the time of the fit.
     """
-    prepared, pruned = _refitted(found, budget)
+    prepared, pruned = _refit(found, budget)
     problem = prepared.problem
-    pruned = _possible(problem, pruned)
+    pruned = _with_possible_totals(problem, pruned)
     everything = (*found.trials.fit, *found.trials.held_out)
-    explained = explain(prepared, found.selected, pruned, everything)
+    explanation = build_explanation(prepared, found.selected, pruned, everything)
     if found.whole is not None:
-        explained = order_by_whole_motions(explained, found.whole)
-    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
+        explanation = order_by_whole_motions(explanation, found.whole)
+    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, explanation.hypothesis))
     errors = joint_errors(prepared, before, after)
     return replace(
         found,
         prepared=prepared,
         trials=replace(found.trials, fit=everything, held_out=()),
         pruned=pruned,
-        explained=explained,
+        explanation=explanation,
         before=before,
         after=after,
         errors=errors,
-        verdict=verdict(errors, explained.findings),
+        verdict=verdict(errors, explanation.findings),
     )
 
 
-def _possible(problem: Problem, pruned: PrunedModel) -> PrunedModel:
+def _with_possible_totals(problem: Problem, pruned: PrunedModel) -> PrunedModel:
     """The fit with totals of model and corrections (friction, inertia, stiffness) at least zero."""
     h = pruned.fitted.hypothesis
-    theta = at_zero(problem, h)
+    theta = without_negative_totals(problem, h)
     if np.array_equal(theta, h.theta):
         return pruned
     fitted = ModelComparison(problem).score_without_fit(h.with_theta(theta), slopes=True).fitted
     return replace(pruned, fitted=fitted)
 
 
-def _refitted(found: SearchResult, budget: Budget) -> tuple[Prepared, PrunedModel]:
+def _refit(found: SearchResult, budget: Budget) -> tuple[PreparedProblem, PrunedModel]:
     """Problem of fit and validation recordings together, and the effects fitted to it."""
     problem, start = found.prepared.problem, found.pruned.fitted.hypothesis
-    hurried = budget.is_out_of_time
-    if not len(problem.held_out) and not hurried:
+    is_late = budget.is_out_of_time
+    if not len(problem.held_out) and not is_late:
         return found.prepared, found.pruned
-    every = replace(problem, fit=problem.everywhere, held_out=problem.held_out[:0])
-    prepared = replace(found.prepared, problem=every)
+    joined = replace(problem, fit=problem.all_segments, held_out=problem.held_out[:0])
+    prepared = replace(found.prepared, problem=joined)
     if not start.terms:
         return prepared, found.pruned
-    comparison = ModelComparison(every)
+    comparison = ModelComparison(joined)
     best = comparison.score_without_fit(start, slopes=True)
     try:
         with budget.fitting():
-            iterations = QUICK if hurried else LONG
-            (moved,) = comparison.rivals([start], best, iterations, slopes=True)
+            iterations = RANKING_ITERATIONS if is_late else FULL_ITERATIONS
+            (moved,) = comparison.fit_models([start], best, iterations, slopes=True)
     except OutOfTime:
         moved = best
-    comparison.judge([moved], best, likelihood=found.likelihood)
+    comparison.score_models([moved], best, likelihood=found.likelihood)
     if np.isfinite(moved.evidence) and (
         moved.evidence >= 0.0 or found.likelihood is log_likelihood
     ):
         best = moved
-    reduced_models, *_ = refit_without_each(every.at(best.hypothesis), best.fitted, hurried)
+    reduced_models, *_ = refit_without_each(joined.at(best.hypothesis), best.fitted, is_late)
     return prepared, replace(
         found.pruned,
         fitted=best.fitted,
         reduced_models=[f.hypothesis for f in reduced_models],
-        absent={},
+        removal_evidence={},
     )
 
 
-def assess(structure: ChosenModel, trials: TrialSet, test: Sequence[Trial]) -> TestedModel:
+def evaluate_on_test(
+    structure: ChosenModel, trials: TrialSet, test: Sequence[Trial]
+) -> TestedModel:
     """Predict the test recordings, which were not used before.
 
     Args:
@@ -173,18 +179,20 @@ def assess(structure: ChosenModel, trials: TrialSet, test: Sequence[Trial]) -> T
         test: the test recordings. If none is usable, errors are those of the fitted recordings.
     """
     found, notes = structure.found, list[str]()
-    test = _usable(structure, test, notes)
+    test = _usable_recordings(structure, test, notes)
     if test:
         try:
-            return _tested(structure, trials, test, notes)
+            return _evaluate(structure, trials, test, notes)
         except (RecordingError, SimulationError) as error:
             notes.append(f"left out: {error}")
     notes.append("no recording was held out: errors and gains are those of the fitted recordings")
-    near, added = _near(structure, found)
-    return TestedModel(limit_untested_confidence(found.explained), found, near, tuple(notes), added)
+    location, added = _location_problem(structure, found)
+    return TestedModel(
+        limit_untested_confidence(found.explanation), found, location, tuple(notes), added
+    )
 
 
-def _tested(
+def _evaluate(
     structure: ChosenModel, trials: TrialSet, test: tuple[Trial, ...], notes: list[str]
 ) -> TestedModel:
     """The chosen model on usable test recordings.
@@ -203,8 +211,8 @@ def _tested(
             notes.append(f"joint {j!r} is not tested: {', '.join(lacking)} {lack} it")
     scales = Scales({name: of[list(column)] for name, of in fitted.problem.scales.of.items()})
     both = replace(found.trials, held_out=test, unseen=trials.unseen | trials.untested)
-    given = replace(structure.given, cold_fractions=fitted.cold_fractions)
-    prepared, kept = build_problem(given, both, notes, window=fitted.window, scales=scales)
+    setup = replace(structure.setup, cold_fractions=fitted.cold_fractions)
+    prepared, kept = build_problem(setup, both, notes, window=fitted.window, scales=scales)
     if not kept.held_out:
         raise SimulationError(
             "the simulation of the model diverges on every held-out recording",
@@ -212,63 +220,67 @@ def _tested(
             expected="a recording through which the model can be simulated",
         )
     problem = prepared.problem
-    here = Explained(
-        found.explained.findings,
-        _at(found.explained.hypothesis, column),
+    at_tested = Explanation(
+        found.explanation.findings,
+        _hypothesis_at_tested_joints(found.explanation.hypothesis, column),
         reduced_models={
-            _term(t, column): _at(rest, column)
-            for t, rest in found.explained.reduced_models.items()
+            _term_at_tested_joints(t, column): _hypothesis_at_tested_joints(rest, column)
+            for t, rest in found.explanation.reduced_models.items()
             if _is_tested(t, column)
         },
     )
-    prepared = prepared.with_lower_floor(here.hypothesis) or prepared
+    prepared = prepared.with_lower_floor(at_tested.hypothesis) or prepared
     problem = prepared.problem
-    gains = held_out_gains(problem, here)
-    explained = with_gains(
-        found.explained,
+    gains = held_out_gains(problem, at_tested)
+    explanation = with_gains(
+        found.explanation,
         {
-            t: gains[_term(t, column)] if _is_tested(t, column) else 0.0
-            for t in found.explained.hypothesis.terms
+            t: gains[_term_at_tested_joints(t, column)] if _is_tested(t, column) else 0.0
+            for t in found.explanation.hypothesis.terms
         },
     )
-    explained = limit_contradicted_confidence(explained, notes)
-    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, here.hypothesis))
+    explanation = limit_contradicted_confidence(explanation, notes)
+    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, at_tested.hypothesis))
     errors = joint_errors(prepared, before, after)
-    explained = limit_unexplained_confidence(explained, errors)
+    explanation = limit_unexplained_confidence(explanation, errors)
     tested = replace(
         found,
         prepared=prepared,
         trials=kept,
-        explained=replace(here, findings=explained.findings),
+        explanation=replace(at_tested, findings=explanation.findings),
         before=before,
         after=after,
         errors=errors,
-        verdict=verdict(errors, explained.findings),
+        verdict=verdict(errors, explanation.findings),
     )
-    near, added = _near(structure, tested)
-    return TestedModel(explained, tested, near, tuple(notes), (problem, *added))
+    location, added = _location_problem(structure, tested)
+    return TestedModel(explanation, tested, location, tuple(notes), (problem, *added))
 
 
-def _near(
+def _location_problem(
     structure: ChosenModel, tested: SearchResult
-) -> tuple[tuple[Prepared, TrialSet], tuple[Problem, ...]]:
+) -> tuple[tuple[PreparedProblem, TrialSet], tuple[Problem, ...]]:
     """Problem in which the unexplained residual is located, and the problems that were built."""
     own = tested.prepared, tested.trials
-    if structure.near is None or tested.verdict not in ("improved", "unexplained"):
+    if structure.location_window is None or tested.verdict not in ("improved", "unexplained"):
         return own, ()
-    given = replace(structure.given, cold_fractions=tested.prepared.cold_fractions)
+    setup = replace(structure.setup, cold_fractions=tested.prepared.cold_fractions)
     scales = tested.prepared.problem.scales
-    cut = build_problem(given, tested.trials, [], window=structure.near, scales=scales)
-    return cut, (cut[0].problem,)
+    windows = build_problem(
+        setup, tested.trials, [], window=structure.location_window, scales=scales
+    )
+    return windows, (windows[0].problem,)
 
 
-def _usable(structure: ChosenModel, test: Sequence[Trial], notes: list[str]) -> tuple[Trial, ...]:
+def _usable_recordings(
+    structure: ChosenModel, test: Sequence[Trial], notes: list[str]
+) -> tuple[Trial, ...]:
     """Test recordings without those in another unit; a note for each that is left out."""
     if not test:
         return ()
     alone = TrialSet(tuple(test), (), ())
     try:
-        return drop_other_units(structure.given.realization, alone, notes).fit
+        return drop_other_units(structure.setup.realization, alone, notes).fit
     except TwinError as error:
         notes.append(f"left out: {error}")
         return ()
@@ -279,12 +291,12 @@ def _is_tested(term: Term, column: Mapping[int, int]) -> bool:
     return term.joint < 0 or term.joint in column
 
 
-def _term(term: Term, column: Mapping[int, int]) -> Term:
+def _term_at_tested_joints(term: Term, column: Mapping[int, int]) -> Term:
     """A term in the numbering of the tested joints."""
     return Term(term.effect, column.get(term.joint, -1))
 
 
-def _at(hypothesis: Hypothesis, column: Mapping[int, int]) -> Hypothesis:
+def _hypothesis_at_tested_joints(hypothesis: Hypothesis, column: Mapping[int, int]) -> Hypothesis:
     """A hypothesis in the numbering of the tested joints, without terms at other joints."""
     tested = hypothesis.without(*(t for t in hypothesis.terms if not _is_tested(t, column)))
-    return Hypothesis(tuple(_term(t, column) for t in tested.terms), tested.theta)
+    return Hypothesis(tuple(_term_at_tested_joints(t, column) for t in tested.terms), tested.theta)

@@ -13,7 +13,7 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 # Simulations of the shortest recording for each thread, in a batch of the measurement.
 _ROWS_PER_THREAD = 16
 # Number of repetitions, or their total time in s: the speed of a core varies.
-_REPEATS, _LONG = 3, 0.2
+_REPEATS, _MIN_SECONDS = 3, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,18 +25,18 @@ class Cost:
         engine_seconds: time of MuJoCo alone for the same number of steps of the nominal model, in
             batches on the same threads, s.
         steps: simulated steps, those from the cache included, in millions.
-        repeated: steps that came from the cache, in millions.
+        cached_steps: steps that came from the cache, in millions.
         simulations: number of simulations of all recordings with as many steps.
-        of_alternatives: simulations of all recordings for the comparison of the final set of
+        comparison_simulations: simulations of all recordings for the comparison of the final set of
             effects with other sets.
     """
 
     wall_seconds: float
     engine_seconds: float
     steps: float
-    repeated: float
+    cached_steps: float
     simulations: float
-    of_alternatives: float = 0.0
+    comparison_simulations: float = 0.0
 
     def to_json(self) -> dict[str, float]:
         """The object ``cost`` of ``diagnosis.json``."""
@@ -47,18 +47,18 @@ class Cost:
             "wall_per_engine": round(ratio, 2),
             "simulations": round(self.simulations, 1),
             "million_steps": round(self.steps, 3),
-            "million_steps_repeated": round(self.repeated, 3),
-            "simulations_of_rival_sets": round(self.of_alternatives, 1),
+            "million_steps_repeated": round(self.cached_steps, 3),
+            "simulations_of_rival_sets": round(self.comparison_simulations, 1),
         }
 
 
-def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
+def measure_cost(budget: Budget, since: float, comparison_simulations: float = 0.0) -> Cost:
     """Measure the cost of a diagnosis.
 
     Args:
         budget: the budget with all problems of the diagnosis.
         since: ``time.perf_counter`` at its start, s.
-        of_alternatives: simulations of all recordings for the comparison with other sets.
+        comparison_simulations: simulations of all recordings for the comparison with other sets.
     """
     wall = time.perf_counter() - since
     problems = budget.problems
@@ -67,18 +67,18 @@ def cost(budget: Budget, since: float, of_alternatives: float = 0.0) -> Cost:
     simulator = BatchSimulator(
         known.segments, known.joints, threads=known.threads, disable_unused=False
     )
-    stepped = sum(p.stepped + p.memory.steps_for_initial_states for p in problems)
+    steps = sum(p.simulated_steps + p.memory.steps_for_initial_states for p in problems)
     shortest = min(problem.fit, key=lambda at: len(known.segments[at].time))
     rows = np.full(_ROWS_PER_THREAD * known.threads, shortest)
     simulator.trajectories(rows[:1], {})  # models are copied once, outside the measured time
-    before = simulator.stepped
+    before = simulator.simulated_steps
     seconds: list[float] = []
-    while len(seconds) < _REPEATS and sum(seconds) < _LONG:
+    while len(seconds) < _REPEATS and sum(seconds) < _MIN_SECONDS:
         start = time.perf_counter()
         simulator.trajectories(rows, {})
         seconds.append(time.perf_counter() - start)
-    per_step = float(np.median(seconds)) * len(seconds) / max(simulator.stepped - before, 1)
-    repeated = sum(p.repeated for p in problems)
+    per_step = float(np.median(seconds)) * len(seconds) / max(simulator.simulated_steps - before, 1)
+    repeated = sum(p.cached_steps for p in problems)
     return Cost(
-        wall, per_step * stepped, stepped * 1e-6, repeated * 1e-6, budget.work, of_alternatives
+        wall, per_step * steps, steps * 1e-6, repeated * 1e-6, budget.work, comparison_simulations
     )

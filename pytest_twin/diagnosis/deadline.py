@@ -10,15 +10,15 @@ class OutOfTime(Exception):  # noqa: N818 - no error: the best so far is the res
     """The search must end; the best result so far is used."""
 
 
-def no_bound() -> None:
+def no_limit() -> None:
     """Check of a search without a time limit: do nothing."""
 
 
-CHECK: ContextVar[Callable[[], None]] = ContextVar("CHECK", default=no_bound)
+CHECK: ContextVar[Callable[[], None]] = ContextVar("CHECK", default=no_limit)
 """Function that is called before every simulation; raises :class:`OutOfTime` after the deadline."""
 
 
-def check() -> None:
+def check_deadline() -> None:
     """Check the deadline of the running search.
 
     Raises:

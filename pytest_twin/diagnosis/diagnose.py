@@ -11,28 +11,28 @@ import numpy as np
 
 from pytest_twin.diagnosis.alternative_sets import (
     OTHER_SETS,
-    with_alternative_sets,
-    with_limited_confidence,
+    compare_with_other_sets,
+    limit_confidence,
 )
-from pytest_twin.diagnosis.budget import COMPARED
+from pytest_twin.diagnosis.budget import COMPARISON_SHARE
 from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
-from pytest_twin.diagnosis.conclusion import ChosenModel, assess, with_final_parameters
-from pytest_twin.diagnosis.cost import Cost, cost
+from pytest_twin.diagnosis.conclusion import ChosenModel, evaluate_on_test, fit_final_parameters
+from pytest_twin.diagnosis.cost import Cost, measure_cost
 from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.findings import Explained, finding_json
+from pytest_twin.diagnosis.findings import Explanation, finding_json
 from pytest_twin.diagnosis.friction_constraint import (
-    CREEPS,
-    build_problem_as_friction_acts,
+    FRICTION_CREEP_NOTE,
+    build_problem_with_better_constraint,
 )
 from pytest_twin.diagnosis.integrator_detection import (
-    as_simulated_before,
+    adopt_simulation_step,
     describe_integrator,
 )
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.prepare import Prepared, shared_joints
+from pytest_twin.diagnosis.patched.model import PatchedModel
+from pytest_twin.diagnosis.prepare import PreparedProblem, shared_joints
 from pytest_twin.diagnosis.roles import Roles, roles_of
-from pytest_twin.diagnosis.run import Run, not_tried
+from pytest_twin.diagnosis.run import Run, describe_skipped_searches
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.search_recordings import search_recordings
 from pytest_twin.diagnosis.search_result import (
@@ -41,12 +41,12 @@ from pytest_twin.diagnosis.search_result import (
 from pytest_twin.diagnosis.signal_meaning import (
     RecordedSignals,
     determine_signals,
-    with_doubt,
-    with_fewer_effects,
+    interpolation_with_fewer_effects,
+    with_interpolation_uncertainty,
 )
 from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.unexplained import UnexplainedResidual, unexplained
+from pytest_twin.diagnosis.unexplained import UnexplainedResidual, locate_unexplained
 from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.unnamed_law.confirmation import (
     ConfirmedLaws,
@@ -67,10 +67,10 @@ class Diagnosis:
 
     Attributes:
         verdict: the conclusion in one word.
-        explained: findings.
+        explanation: findings.
         errors: joint -> prediction error on held-out recordings, or on all recordings if none is
             held out.
-        left: joint -> unexplained residual, only for joints that cause it.
+        unexplained_residuals: joint -> unexplained residual, only for joints that cause it.
         notes: one line each, for the reader.
         prepared, selected: estimation problem at the final parameters, and model selection.
         tested: problem, recordings and residuals from which the errors were computed.
@@ -79,15 +79,16 @@ class Diagnosis:
         trace: every step of the search.
         cost: computing time.
         signals: meaning of the recorded commands, velocities and efforts.
-        untried: searches that were skipped because time or simulations ran out, one line each.
+        skipped_searches: searches that were skipped because time or simulations ran out, one line
+            each.
     """
 
     verdict: Verdict
-    explained: Explained
+    explanation: Explanation
     errors: Mapping[str, JointError]
-    left: Mapping[str, UnexplainedResidual]
+    unexplained_residuals: Mapping[str, UnexplainedResidual]
     notes: tuple[str, ...]
-    prepared: Prepared
+    prepared: PreparedProblem
     selected: SelectedModel
     tested: SearchResult
     free: ConfirmedLaws
@@ -95,7 +96,7 @@ class Diagnosis:
     trace: Trace
     cost: Cost
     signals: RecordedSignals
-    untried: tuple[str, ...]
+    skipped_searches: tuple[str, ...]
 
     def to_json(self, *, realization: str) -> dict[str, Any]:
         """Content of ``diagnosis.json``, schema 1; errors in rad or m.
@@ -108,10 +109,10 @@ class Diagnosis:
             "schema": 1,
             "verdict": self.verdict,
             "findings": [
-                *(finding_json(f) for f in self.explained.findings if not f.small),
+                *(finding_json(f) for f in self.explanation.findings if not f.small),
                 *self.free.findings_json,
             ],
-            "small_corrections": [finding_json(f) for f in self.explained.findings if f.small],
+            "small_corrections": [finding_json(f) for f in self.explanation.findings if f.small],
             "held_out": {
                 joint: {
                     "rms_before": e.before,
@@ -130,9 +131,9 @@ class Diagnosis:
                     "fraction": round(item.fraction, 5),
                     "where": item.where.summary,
                     "windows": dict(item.where.windows),
-                    **self._modelled(joint),
+                    **self._removed_share(joint),
                 }
-                for joint, item in self.left.items()
+                for joint, item in self.unexplained_residuals.items()
             },
             "realization": realization,
             "trials": self._trials(),
@@ -140,12 +141,12 @@ class Diagnosis:
                 [*self.tested.trials.fit, *self.tested.trials.held_out]
             ),
             "notes": list(self.notes),
-            "not_tried": list(self.untried),
+            "not_tried": list(self.skipped_searches),
             "search_trace": self.trace.to_json(),
             "cost": self.cost.to_json(),
         }
 
-    def _modelled(self, joint: str) -> dict[str, float]:
+    def _removed_share(self, joint: str) -> dict[str, float]:
         """Share of the unexplained error of a joint that laws without a name remove."""
         removed = self.free.removed_share_at(joint)
         return {} if removed is None else {"unnamed_law_removes": round(removed, 5)}
@@ -168,7 +169,7 @@ def diagnose(
     realization: Realization,
     trials: TrialSet,
     *,
-    inherited: Patched | None = None,
+    inherited: PatchedModel | None = None,
     threads: int = 0,
     run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
@@ -191,15 +192,15 @@ def diagnose(
     """
     since = time.perf_counter()
     run = Run() if run is None else run
-    given, known = ModelSetup.of(realization, inherited, threads), roles_of(trials).of_search
-    with run.budget.searching(COMPARED):
+    setup, known = ModelSetup.of(realization, inherited, threads), roles_of(trials).of_search
+    with run.budget.searching(COMPARISON_SHARE):
         signals = run.attempt(
             "what the commands and efforts of the recordings are",
-            lambda: determine_signals(given, known), RecordedSignals(),
+            lambda: determine_signals(setup, known), RecordedSignals(),
         )  # fmt: skip
-    as_read, trials = trials, signals.applied(trials)
+    as_recorded, trials = trials, signals.apply(trials)
     roles = roles_of(trials)
-    open_ = signals.doubted(roles.of_search.fit)
+    undetermined = signals.undetermined(roles.of_search.fit)
     for i, trial in enumerate(roles.test):
         # A test recording that the model cannot replay is reported before the search of minutes.
         joints = shared_joints(realization, [trial])
@@ -209,36 +210,38 @@ def diagnose(
         structure = find_structure(
             realization, roles.of_search,
             inherited=inherited, threads=threads, run=run, progress=progress,
-            possible=() if open_ is None else open_.possible,
+            possible=() if undetermined is None else undetermined.possible,
         )  # fmt: skip
-        if open_ is not None and structure.between is not None:
-            signals = signals.decided(open_, structure.between)
-            trials, open_ = signals.applied(as_read), None
+        if undetermined is not None and structure.between is not None:
+            signals = signals.with_decision(undetermined, structure.between)
+            trials, undetermined = signals.apply(as_recorded), None
             roles = roles_of(trials)
         progress(0.85)
         laws = _fit_laws_to_residual(structure, run)
         progress(0.88)
-        assessed = assess(structure, trials, roles.test)
-        tested, left = assessed.tested, dict[str, UnexplainedResidual]()
+        evaluated = evaluate_on_test(structure, trials, roles.test)
+        tested, unexplained_residuals = evaluated.tested, dict[str, UnexplainedResidual]()
         if tested.verdict in ("improved", "unexplained"):
-            left = unexplained(tested, *assessed.near)
+            unexplained_residuals = locate_unexplained(tested, *evaluated.location)
         free = confirm_on_test(
-            laws, structure.found.prepared.problem, tested, searched_all=not run.untried
+            laws, structure.found.prepared.problem, tested, searched_all=not run.skipped_searches
         )
         progress(0.9)
         step = notes_on_coarse_step(
-            tested.prepared.problem, tested.explained.hypothesis, tested.errors
+            tested.prepared.problem, tested.explanation.hypothesis, tested.errors
         )
-    notes = [*trials.notes, roles.note, *structure.notes, *assessed.notes, *free.notes, *step]
-    notes += not_tried(run)
+    notes = [*trials.notes, roles.note, *structure.notes, *evaluated.notes, *free.notes, *step]
+    notes += describe_skipped_searches(run)
     progress(0.94)
-    for problem in (*signals.problems, *assessed.problems):
+    for problem in (*signals.problems, *evaluated.problems):
         run.budget.add(problem)
-    explained = with_doubt(assessed.explained, open_)
+    explanation = with_interpolation_uncertainty(evaluated.explanation, undetermined)
     return Diagnosis(
-        tested.verdict, explained, free.tested.errors, left, tuple(dict.fromkeys(notes)),
+        tested.verdict, explanation, free.tested.errors, unexplained_residuals,
+        tuple(dict.fromkeys(notes)),
         structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
-        cost(run.budget, since, structure.rival_simulations), signals, tuple(run.untried),
+        measure_cost(run.budget, since, structure.comparison_simulations), signals,
+        tuple(run.skipped_searches),
     )  # fmt: skip
 
 
@@ -246,17 +249,17 @@ def _fit_laws_to_residual(structure: ChosenModel, run: Run) -> FreeLaws:
     """Laws without a name for the residual, if time remains."""
     try:
         with run.budget.fitting():
-            return fit_laws_to_residual(structure.given, structure.found, structure.near)
+            return fit_laws_to_residual(structure.setup, structure.found, structure.location_window)
     except OutOfTime:
         run.skip("a law without a name for the unexplained residual")
-        return FreeLaws((), structure.found.explained.hypothesis, ())
+        return FreeLaws((), structure.found.explanation.hypothesis, ())
 
 
 def find_structure(
     realization: Realization,
     trials: TrialSet,
     *,
-    inherited: Patched | None = None,
+    inherited: PatchedModel | None = None,
     threads: int = 0,
     run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
@@ -276,40 +279,40 @@ def find_structure(
     """
     run = Run() if run is None else run
     notes: list[str] = []
-    given = ModelSetup.of(realization, inherited, threads)
+    setup = ModelSetup.of(realization, inherited, threads)
     progress(0.02)
     trials = drop_other_units(realization, trials, notes)
-    given, prepared, trials = build_problem_as_friction_acts(given, trials, notes)
+    setup, prepared, trials = build_problem_with_better_constraint(setup, trials, notes)
     everything = (*trials.fit, *trials.held_out)
-    notes += _left_out_joints(realization, everything, prepared.problem.joints)
+    notes += _notes_on_missing_joints(realization, everything, prepared.problem.joints)
     progress(0.06)
     run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
-    given, prepared, trials = as_simulated_before(given, prepared, trials, run)
-    with run.budget.searching(COMPARED):
-        searches = search_recordings(given, prepared, trials, run)
-    given, notes = searches.given, [*notes, *searches.notes]
+    setup, prepared, trials = adopt_simulation_step(setup, prepared, trials, run)
+    with run.budget.searching(COMPARISON_SHARE):
+        searches = search_recordings(setup, prepared, trials, run)
+    setup, notes = searches.setup, [*notes, *searches.notes]
     progress(0.82)
     with run.budget.searching():
         reconsidered = run.attempt(
             "another interpolation of the commands between their stamps",
-            lambda: with_fewer_effects(searches.found, given, possible, run), None,
+            lambda: interpolation_with_fewer_effects(searches.found, setup, possible, run), None,
         )  # fmt: skip
         likeliest, between = (searches.found, None) if reconsidered is None else reconsidered
         found, simulations = run.attempt(
             OTHER_SETS,
-            lambda: with_alternative_sets(likeliest, run),
-            (with_limited_confidence(likeliest), 0.0),
+            lambda: compare_with_other_sets(likeliest, run),
+            (limit_confidence(likeliest), 0.0),
         )
-    found = with_final_parameters(found, run.budget)
-    if given.has_friction_creep:
-        notes.append(CREEPS)
-    if given.substeps:
+    found = fit_final_parameters(found, run.budget)
+    if setup.has_friction_creep:
+        notes.append(FRICTION_CREEP_NOTE)
+    if setup.substeps:
         notes.append(describe_integrator(found.prepared))
-    notes += found.explained.notes
-    return ChosenModel(given, found, searches.near, tuple(notes), simulations, between)
+    notes += found.explanation.notes
+    return ChosenModel(setup, found, searches.location_window, tuple(notes), simulations, between)
 
 
-def _left_out_joints(
+def _notes_on_missing_joints(
     realization: Realization, trials: tuple[Trial, ...], joints: tuple[str, ...]
 ) -> list[str]:
     """Notes on the joints of the model that are not in every recording."""

@@ -14,17 +14,17 @@ from types import MappingProxyType
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.refusal import refused
+from pytest_twin.diagnosis.refusal import refused_effects
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.alternatives import AlternativeComparison
-from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
+from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, replace_limits
 from pytest_twin.diagnosis.search.elimination import eliminate
-from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
+from pytest_twin.diagnosis.search.model_comparison import DECIDING_ITERATIONS, ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 from pytest_twin.diagnosis.search.settings import SELECTION
-from pytest_twin.diagnosis.structure_search.score import Model
-from pytest_twin.diagnosis.structure_search.search import Result, StructureSearch
+from pytest_twin.diagnosis.structure_search.score import SimulatedModel
+from pytest_twin.diagnosis.structure_search.search import SearchState, StructureSearch
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 # Log-likelihood ratio by which other sets of the structure search may be behind to share the
@@ -39,40 +39,41 @@ class EffectSelection:
         problem: the problem.
         comparison: fits and scores the models.
         alternatives: compares effects with their alternatives.
-        has_left: whether the search ended because ``leave`` was true.
+        was_stopped: whether the search ended because ``should_stop`` was true.
         is_complete: whether the structure search has nothing to add to the present fit.
-        rivals: sets that the last structure search found nearly as good as its result.
+        nearly_as_good: sets that the last structure search found nearly as good as its result.
         tested_limits: limits of drives that were compared with others.
-        losses: terms of a simplification that was simulated -> its evidence.
+        simplification_evidence: terms of a simplification that was simulated -> its evidence.
     """
 
     def __init__(
         self,
         problem: Problem,
         run: Run | None = None,
-        share_left: float = 1.0,
-        leave: Callable[[Model], bool] = lambda model: False,
+        max_residual_share: float = 1.0,
+        should_stop: Callable[[SimulatedModel], bool] = lambda model: False,
     ) -> None:
         """Set up a selection among all sets of effects.
 
         Args:
             problem: the problem.
             run: the running diagnosis.
-            share_left: largest share of the nominal squared error that may remain. Below 1, the
-                nominal model is kept if no set leaves less in the linearized motion.
-            leave: whether the search ends at a model; called after each step of the first search.
+            max_residual_share: largest share of the nominal squared error that may remain. Below
+                1, the nominal model is kept if no set leaves less in the linearized motion.
+            should_stop: whether the search ends at a model; called after each step of the first
+                search.
         """
         self.problem = problem
         self.diagnosis_run = Run() if run is None else run
-        self.share_left = share_left
-        self.leave = leave
+        self.max_residual_share = max_residual_share
+        self.should_stop = should_stop
         self.comparison = ModelComparison(problem, self.diagnosis_run)
         self.alternatives = AlternativeComparison(self.comparison)
-        self.has_left = False
+        self.was_stopped = False
         self.is_complete = False
-        self.rivals: tuple[Hypothesis, ...] = ()
+        self.nearly_as_good: tuple[Hypothesis, ...] = ()
         self.tested_limits: set[Term] = set()
-        self.losses: Mapping[tuple[Term, ...], float] = MappingProxyType({})
+        self.simplification_evidence: Mapping[tuple[Term, ...], float] = MappingProxyType({})
 
     def run(self, start: Hypothesis = EMPTY) -> SelectedModel:
         """Select effects from the nominal model or from a hypothesis; the best so far if time ends.
@@ -80,30 +81,30 @@ class EffectSelection:
         Args:
             start: hypothesis from which the structure search starts.
         """
-        search = StructureSearch(self.problem, self.diagnosis_run, leave=self.leave)
-        if not start.terms and not search.can_explain(1.0 - self.share_left):
-            return self._selected(self.comparison.nominal)
+        search = StructureSearch(self.problem, self.diagnosis_run, should_stop=self.should_stop)
+        if not start.terms and not search.can_explain(1.0 - self.max_residual_share):
+            return self._as_selected(self.comparison.nominal)
         found = search.run(start)
         with self.diagnosis_run.budget.reserved():
             best = self.comparison.score_without_fit(found.model.hypothesis, slopes=True)
-        if found.has_left:
-            self.has_left = True
-            return self._selected(best)
-        self._keep(found)
+        if found.was_stopped:
+            self.was_stopped = True
+            return self._as_selected(best)
+        self._store_result(found)
         return self.refine(best)
 
     def refine(self, best: ScoredModel) -> SelectedModel:
         """Remove and exchange effects of a fit, and add those that the structure search finds."""
-        selected = self._selected(best)
+        selected = self._as_selected(best)
         try:
             selected.best = self._eliminate(best)
             self._improve(selected)
         except OutOfTime:
-            self.alternatives.weigh_linearized(selected, self.losses)
+            self.alternatives.weigh_linearized(selected, self.simplification_evidence)
             stage = self.diagnosis_run.trace.stage
             self.diagnosis_run.skip(f"the search over {stage} (begun, not finished)")
-            self.comparison.step("search", "ended", "the time is over", None, selected.best)
-        selected.rivals = self.rivals
+            self.comparison.record_step("search", "ended", "the time is over", None, selected.best)
+        selected.nearly_as_good = self.nearly_as_good
         return selected
 
     def simplify(self, best: ScoredModel) -> SelectedModel:
@@ -111,36 +112,41 @@ class EffectSelection:
         self.is_complete = True
         return self.refine(best)
 
-    def _selected(self, best: ScoredModel) -> SelectedModel:
-        return SelectedModel(best, self.comparison.nominal, tried=self.comparison.tried)
+    def _as_selected(self, best: ScoredModel) -> SelectedModel:
+        return SelectedModel(
+            best, self.comparison.nominal, candidate_count=self.comparison.candidate_count
+        )
 
-    def _keep(self, found: Result) -> None:
+    def _store_result(self, found: SearchState) -> None:
         self.is_complete = found.is_complete
-        self.rivals = found.nearly_as_good(_NEARLY_AS_GOOD)
+        self.nearly_as_good = found.nearly_as_good(_NEARLY_AS_GOOD)
 
     def _eliminate(self, best: ScoredModel) -> ScoredModel:
         """The best fit after backward elimination; the losses of its simplifications are kept."""
         eliminated = eliminate(self.comparison, best)
-        self.losses = eliminated.losses
+        self.simplification_evidence = eliminated.simplification_evidence
         return eliminated.best
 
     def _improve(self, selected: SelectedModel) -> None:
         """Exchange, add and remove effects until no change is better."""
         for _ in range(SELECTION.rounds):
-            better = self.exchange_limits(selected.best) or self._add(selected.best)
+            better = self.exchange_limits(selected.best) or self._extend(selected.best)
             if better is not None:
                 selected.best = better
                 selected.best = self._eliminate(better)
                 if self._implausible_terms(selected.best):
                     break
                 continue
-            exchanged = self.alternatives.exchange(selected, self.losses)
+            exchanged = self.alternatives.exchange(selected, self.simplification_evidence)
             if exchanged is None:
                 break
-            selected.best, self.losses = exchanged.best, exchanged.losses
+            selected.best, self.simplification_evidence = (
+                exchanged.best,
+                exchanged.simplification_evidence,
+            )
             self.is_complete = False
 
-    def _add(self, best: ScoredModel) -> ScoredModel | None:
+    def _extend(self, best: ScoredModel) -> ScoredModel | None:
         """A better fit by the structure search; None if it finds none."""
         terms = best.hypothesis.terms
         if (
@@ -151,7 +157,7 @@ class EffectSelection:
         ):
             return None
         found = StructureSearch(self.problem, self.diagnosis_run).run(best.hypothesis)
-        self._keep(found)
+        self._store_result(found)
         if set(found.model.hypothesis.terms) == set(terms):
             return None
         return self.comparison.score_without_fit(found.model.hypothesis, slopes=True)
@@ -164,29 +170,34 @@ class EffectSelection:
         limits = doubtful_limits(best)
         new = [t for t in limits if t not in self.tested_limits]
         self.tested_limits.update(new)
-        others = limits_instead(best, new) if new else []
+        others = replace_limits(best, new) if new else []
         if not others:
             return None
-        top = max(self.comparison.score_against(others, best, FAIR), key=lambda r: r.evidence)
+        top = max(
+            self.comparison.score_against(others, best, DECIDING_ITERATIONS),
+            key=lambda r: r.evidence,
+        )
         if top.evidence <= SELECTION.clear:
             return None
-        self.comparison.step("other limit", "accepted", f"it gains {top.evidence:.1f}", top, best)
+        self.comparison.record_step(
+            "other limit", "accepted", f"it gains {top.evidence:.1f}", top, best
+        )
         return self.comparison.fit_to_convergence(top)
 
-    def _implausible_terms(self, rival: ScoredModel) -> list[Term]:
+    def _implausible_terms(self, model: ScoredModel) -> list[Term]:
         """Effects that compensate for another effect.
 
         They are at a physical bound while their joint stays unexplained, or their values are
         impossible or outside the range of the recordings.
         """
-        problem, hypothesis = self.problem, rival.hypothesis
-        excluded = refused(problem, hypothesis, self.alternatives.recorded)
-        left = in_noise_floors(rival.fitted.residual, problem.signal_floor)[: len(problem.joints)]
+        problem, hypothesis = self.problem, model.hypothesis
+        excluded = refused_effects(problem, hypothesis, self.alternatives.recorded)
+        left = in_noise_floors(model.fitted.residual, problem.signal_floor)[: len(problem.joints)]
         return [
             t for t in hypothesis.terms
             if t in excluded
             or (
-                hypothesis.at_bound(t)
+                hypothesis.is_at_bound(t)
                 and (left.max() if t.joint < 0 else left[t.joint]) > VERDICT.left_floors
             )
         ]  # fmt: skip

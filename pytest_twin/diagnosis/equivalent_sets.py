@@ -18,9 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.common_effects import at_every_joint, size_of, tied
+from pytest_twin.diagnosis.common_effects import (
+    replace_robot_effects,
+    set_size,
+    tie_common_parameters,
+)
 from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.effort_stamps import within_a_step
+from pytest_twin.diagnosis.effort_step_tolerance import residuals_with_step_tolerance
 from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
 from pytest_twin.diagnosis.evidence import NOISE_FLOORS, log_likelihood, tempered_samples
 from pytest_twin.diagnosis.first_order.beam_search import (
@@ -36,12 +40,12 @@ from pytest_twin.diagnosis.first_order.linearized_fit import (
     linearized_slopes,
 )
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.fit import Fitted, propose, weighted_cost
+from pytest_twin.diagnosis.fit import FittedModel, propose_step, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.patched.native import mjcf_expresses
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
-from pytest_twin.diagnosis.search.model_comparison import QUICK, ModelComparison
+from pytest_twin.diagnosis.search.model_comparison import RANKING_ITERATIONS, ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import SELECTION
@@ -49,10 +53,10 @@ from pytest_twin.diagnosis.search.term_exchange import residuals_without
 from pytest_twin.diagnosis.set_evidence import (
     evidence_on,
     idle_parameters,
-    misfit,
+    log_misfit,
     recordings_of,
     set_evidence,
-    set_price,
+    set_penalty,
 )
 
 # Levenberg-Marquardt dampings, as shares of the diagonal of the normal matrix.
@@ -67,20 +71,20 @@ class AlternativeSet:
     """Another set of effects, fitted by simulation.
 
     Attributes:
-        rival: the fitted set.
+        model: the fitted set.
         evidence: penalized log-likelihood relative to the final set, tempered for model error.
-        apart: largest RMS difference between its prediction and that of the final set on the fit
-            recordings, in noise floors.
+        prediction_difference: largest RMS difference between its prediction and that of the
+            final set on the fit recordings, in noise floors.
     """
 
-    rival: ScoredModel
+    model: ScoredModel
     evidence: float
-    apart: float
+    prediction_difference: float
 
     @property
     def terms(self) -> frozenset[Term]:
         """The terms of the set."""
-        return frozenset(self.rival.hypothesis.terms)
+        return frozenset(self.model.hypothesis.terms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +133,12 @@ def compare_sets(
             reported and the time is over before the others were fitted.
     """
     problem = comparison.problem
-    count = _Count(problem)
+    count = _SimulationCount(problem)
     best = comparison.score_without_fit(found, slopes=True)
     linearized = linearize_around(best)
     if linearized.linear is None or not found.terms or not np.isfinite(best.fitted.cost):
         return ComparedSets(best, (), 1.0, count.spent)
-    near = _near(
+    proposed = _propose_sets(
         comparison,
         best,
         linearized.linear,
@@ -143,18 +147,18 @@ def compare_sets(
         allowed,
         known,
     )
-    rivals, is_complete = _simulated(comparison, best, linearized.linear, near, count)
-    rivals = [r for r in rivals if allowed(r.hypothesis) and np.isfinite(r.fitted.cost)]
+    models, is_complete = _fit_by_simulation(comparison, best, linearized.linear, proposed, count)
+    models = [r for r in models if allowed(r.hypothesis) and np.isfinite(r.fitted.cost)]
     if is_complete:
         with contextlib.suppress(OutOfTime):
-            return _compared(comparison, best, rivals, linearized.linear, count, allowed(found))
+            return _rank_sets(comparison, best, models, linearized.linear, count, allowed(found))
     if not allowed(found):
         raise OutOfTime
     with comparison.run.budget.reserved():
-        return _compared_in_part(comparison, best, rivals, linearized.linear, count)
+        return _rank_unfinished_sets(comparison, best, models, linearized.linear, count)
 
 
-class _Count:
+class _SimulationCount:
     """Counts simulations of all recordings since its creation, without those from the cache.
 
     Attributes:
@@ -163,20 +167,20 @@ class _Count:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._once = max(int(problem.simulator.steps.sum()), 1)
-        self._since = self._stepped()
-        self.fitted = float(problem.simulator.steps[problem.fit].sum()) / self._once
+        self._steps_per_simulation = max(int(problem.simulator.steps.sum()), 1)
+        self._steps_before = self._new_steps()
+        self.fitted = float(problem.simulator.steps[problem.fit].sum()) / self._steps_per_simulation
 
-    def _stepped(self) -> int:
-        return self._problem.stepped - self._problem.repeated
+    def _new_steps(self) -> int:
+        return self._problem.simulated_steps - self._problem.cached_steps
 
     @property
     def spent(self) -> float:
         """Number of simulations of all recordings so far."""
-        return (self._stepped() - self._since) / self._once
+        return (self._new_steps() - self._steps_before) / self._steps_per_simulation
 
 
-def subsets(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
+def removed_subsets(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
     """Subsets of the final set that are removed.
 
     These are single terms, all terms, all terms of a joint, the same effect at several joints, then
@@ -186,19 +190,19 @@ def subsets(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
     if len(terms) <= EQUIVALENT.largest + 1:
         out[tuple(terms)] = None
     joints = {t.joint for t in terms if t.joint >= 0}
-    crowds = [tuple(t for t in terms if t.joint in (j, -1)) for j in sorted(joints)]
+    by_joint = [tuple(t for t in terms if t.joint in (j, -1)) for j in sorted(joints)]
     alike = [
         tuple(t for t in terms if t.effect == effect)
         for effect in sorted({t.effect for t in terms})
     ]
-    out.update(dict.fromkeys(c for c in (*crowds, *alike) if c))
+    out.update(dict.fromkeys(c for c in (*by_joint, *alike) if c))
     for size in range(2, EQUIVALENT.largest + 1):
-        for crowd in crowds:
-            out.update(dict.fromkeys(itertools.combinations(crowd, size)))
+        for group in by_joint:
+            out.update(dict.fromkeys(itertools.combinations(group, size)))
     return list(out)[: EQUIVALENT.most_subsets]
 
 
-def _near(
+def _propose_sets(
     comparison: ModelComparison,
     best: ScoredModel,
     linear: Linearization,
@@ -212,11 +216,14 @@ def _near(
     The most likely ones come first. The final set without some of its terms may be among them.
     """
     own, found = best.hypothesis, list[tuple[float, Hypothesis]]()
-    alike, similar = at_every_joint(comparison.problem, own), list[tuple[float, Hypothesis]]()
-    places = subsets(own.terms)
-    lefts = residuals_without(best.problem, linear, view, own, places)
+    alike, similar = (
+        replace_robot_effects(comparison.problem, own),
+        list[tuple[float, Hypothesis]](),
+    )
+    places = removed_subsets(own.terms)
+    residuals = residuals_without(best.problem, linear, view, own, places)
     elastic = candidate_sensitivities.elastic_transmissions
-    for removed, left in zip(places, lefts, strict=True):
+    for removed, left in zip(places, residuals, strict=True):
         rest = own.without(*removed)
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
         # An elastic transmission is only replaced by another one. The search has decided by
@@ -229,16 +236,16 @@ def _near(
         sets = _beam(equations, excluded, EQUIVALENT.largest if len(removed) == 1 else len(removed))
         fits = [LinearizedFit(rest.with_terms(s.starts), s.residual) for s in sets]
         evidence = _linearized_evidence(comparison, view, own, fits)
-        for i in _chosen(removed, sets, evidence, [allowed(f.hypothesis) for f in fits]):
+        for i in _select_for_fit(removed, sets, evidence, [allowed(f.hypothesis) for f in fits]):
             h = fits[i].hypothesis
             found.append((float(evidence[i]), h))
-            same = _carried(comparison.problem, own, removed, h)
+            same = _with_carried_values(comparison.problem, own, removed, h)
             found += [(float(evidence[i]), c) for c in same]
             alike += [c for c in same if len(c.terms) <= len(own.terms)]
         found.append((np.inf if len(removed) == 1 else -np.inf, rest))
         change = ResidualView(left - view.residual, slope, view.floor, view.lengths)
         similar += [
-            (similarity - h.free, h)
+            (similarity - h.free_count, h)
             for similarity, chosen in _most_similar(
                 NormalEquations(change, candidate_sensitivities), excluded
             )
@@ -246,8 +253,8 @@ def _near(
             and allowed(h := rest.with_terms(equations.structure(chosen).starts))
         ]
     # Of sets that predict most of the change, those with the fewest parameters come first.
-    closest = _few_of_each(similar, 1)[: EQUIVALENT.closest]
-    more = without_additions(found, own.terms, EQUIVALENT.starts)
+    closest = _limit_starts(similar, 1)[: EQUIVALENT.closest]
+    more = without_mere_additions(found, own.terms, EQUIVALENT.starts)
     starts = [*closest, *more[: EQUIVALENT.fitted_along_motion - len(closest)]]
     fitted = fit_linearized(linear, view, starts, NEAR_ITERATIONS)
     values = _linearized_evidence(comparison, view, own, fitted).tolist()
@@ -256,13 +263,13 @@ def _near(
     ]
     # The linearization is exact for small effects only. Structurally equivalent sets may seem to
     # differ, so they are simulated with the parameters of the effects that they replace.
-    likeliest = without_additions(ranked, own.terms, 1)
+    likeliest = without_mere_additions(ranked, own.terms, 1)
     fewer = [h for h in likeliest if len(h.terms) < len(own.terms)]
     others = [h for h in known if not set(own.terms) <= set(h.terms) and allowed(h)]
     out = [
         *(h for h in alike[: EQUIVALENT.with_same_parameters] if allowed(h)),
         *others[: EQUIVALENT.of_search],
-        *fewer[: EQUIVALENT.with_fewer_effects],
+        *fewer[: EQUIVALENT.interpolation_with_fewer_effects],
         *(f.hypothesis for f in fitted[: len(closest)] if allowed(f.hypothesis)),
         *likeliest,
     ]
@@ -309,7 +316,7 @@ def _most_similar(
     return out
 
 
-def _chosen(
+def _select_for_fit(
     removed: Sequence[Term],
     sets: Sequence[Structure],
     evidence: FloatArray,
@@ -340,7 +347,7 @@ def _chosen(
     return list(out)
 
 
-def _carried(
+def _with_carried_values(
     problem: Problem, own: Hypothesis, removed: Sequence[Term], other: Hypothesis
 ) -> list[Hypothesis]:
     """The set ``other`` with values of removed parameters that have the same name and quantity.
@@ -366,10 +373,10 @@ def _carried(
     return [other.with_theta(theta)] if same else []
 
 
-def without_additions(
-    found: Sequence[tuple[float, Hypothesis]], final: Sequence[Term], most: int
+def without_mere_additions(
+    found: Sequence[tuple[float, Hypothesis]], final: Sequence[Term], max_starts: int
 ) -> list[Hypothesis]:
-    """Sets by evidence, at most ``most`` with the same terms.
+    """Sets by evidence, at most ``max_starts`` with the same terms.
 
     Sets that only add new effects to a set that explains nearly as much are left out, because the
     search has decided about the number of effects. Effects of the final set do not count as new.
@@ -378,35 +385,35 @@ def without_additions(
     for e, h in found:
         if np.isfinite(e):
             known[h.terms] = max(e, known.get(h.terms, e))
-    lost = min(known.values(), default=0.0)
+    lowest = min(known.values(), default=0.0)
 
     def adds(evidence: float, h: Hypothesis) -> bool:
         return np.isfinite(evidence) and any(
             set(terms) < set(h.terms)
             and not set(h.terms) - set(terms) <= set(final)
-            and e - lost >= EQUIVALENT.nearly_all * (evidence - lost)
+            and e - lowest >= EQUIVALENT.nearly_all * (evidence - lowest)
             for terms, e in known.items()
-            if e > lost
+            if e > lowest
         )
 
-    return _few_of_each([(e, h) for e, h in found if not adds(e, h)], most)
+    return _limit_starts([(e, h) for e, h in found if not adds(e, h)], max_starts)
 
 
-def _few_of_each(found: Sequence[tuple[float, Hypothesis]], most: int) -> list[Hypothesis]:
-    """Hypotheses by evidence, at most ``most`` with the same terms in the same forms."""
-    out, seen = list[Hypothesis](), Counter[_Form]()
+def _limit_starts(found: Sequence[tuple[float, Hypothesis]], max_starts: int) -> list[Hypothesis]:
+    """Hypotheses by evidence, at most ``max_starts`` with the same terms in the same forms."""
+    out, seen = list[Hypothesis](), Counter[_Choices]()
     for evidence, h in sorted(found, key=lambda each: -each[0]):
-        form = _form(h)
-        if evidence > -np.inf and seen[form] < most:
-            seen[form] += 1
+        choices = _choices(h)
+        if evidence > -np.inf and seen[choices] < max_starts:
+            seen[choices] += 1
             out.append(h)
     return out
 
 
-_Form = frozenset[tuple[Term, tuple[float, ...]]]
+_Choices = frozenset[tuple[Term, tuple[float, ...]]]
 
 
-def _form(h: Hypothesis) -> _Form:
+def _choices(h: Hypothesis) -> _Choices:
     """Terms of a set with their choices."""
     return frozenset(
         (t, tuple(
@@ -425,26 +432,26 @@ def _linearized_evidence(
         return np.zeros(0)
     residuals = [np.nan_to_num(f.residual) for f in everything]
     effective = view.effective_of_best(residuals)
-    closest = min(residuals, key=lambda r: misfit(r, view.floor))
+    closest = min(residuals, key=lambda r: log_misfit(r, view.floor))
     samples = tempered_samples(
         effective, np.mean(closest**2, axis=0), view.floor,
         recordings_of(comparison.problem, fitted=True), len(comparison.problem.joints),
     )  # fmt: skip
     values = np.array([
         log_likelihood(f.residual, NOISE_FLOORS * view.floor, samples)
-        - set_price(comparison, f.hypothesis, samples)
+        - set_penalty(comparison, f.hypothesis, samples)
         for f in everything
     ])  # fmt: skip
     over: FloatArray = np.nan_to_num(values[1:] - values[0], nan=-np.inf)
     return over
 
 
-def _simulated(
+def _fit_by_simulation(
     comparison: ModelComparison,
     best: ScoredModel,
     linear: Linearization,
-    near: Sequence[Hypothesis],
-    count: _Count,
+    proposed: Sequence[Hypothesis],
+    count: _SimulationCount,
 ) -> tuple[list[ScoredModel], bool]:
     """Sets fitted by simulation; after each step of the fit fewer sets remain.
 
@@ -453,25 +460,29 @@ def _simulated(
     """
     problem = best.problem
     weights = comparison.weights(best)
-    current, is_complete = list(near), True
+    current, is_complete = list(proposed), True
     if not current:
         return [], True
     residual = problem.residuals(current, problem.fit)
     for step, most in enumerate(EQUIVALENT.kept_by_step):
-        behind = EQUIVALENT.far_behind if step else np.inf
-        current, residual = _front(comparison, best, current, residual, most, behind)
+        max_deficit = EQUIVALENT.far_behind if step else np.inf
+        current, residual = _most_likely(comparison, best, current, residual, most, max_deficit)
         slopes = linearized_slopes(linear, current)
-        tried = [
-            tied(problem, propose(h, linear.residual(np.nan_to_num(r)), slope, weights, damping), h)
+        candidates = [
+            tie_common_parameters(
+                problem,
+                propose_step(h, linear.residual(np.nan_to_num(r)), slope, weights, damping),
+                h,
+            )
             if h.theta.size
             else h
             for h, r, slope in zip(current, residual, slopes, strict=True)
             for damping in _DAMPINGS
         ]
-        if count.spent + len(tried) * count.fitted > EQUIVALENT.most_simulations:
+        if count.spent + len(candidates) * count.fitted > EQUIVALENT.most_simulations:
             break
         try:
-            found = problem.residuals(tried, problem.fit)
+            found = problem.residuals(candidates, problem.fit)
         except OutOfTime:
             is_complete = False
             break
@@ -479,105 +490,110 @@ def _simulated(
             mine = range(i * len(_DAMPINGS), (i + 1) * len(_DAMPINGS))
             k = min(mine, key=lambda k: weighted_cost(found[k], weights))
             if weighted_cost(found[k], weights) < weighted_cost(residual[i], weights):
-                current[i], residual[i] = tried[k], found[k]
+                current[i], residual[i] = candidates[k], found[k]
     held = [best.held_residual] * len(current)
     if comparison.has_validation:
         with comparison.run.budget.reserved():
             held = problem.residuals(current, problem.held_out)
-    rivals = [
+    models = [
         ScoredModel(
-            Fitted(h, r, np.empty((*r.shape, 0)), weighted_cost(r, weights)), other, problem
+            FittedModel(h, r, np.empty((*r.shape, 0)), weighted_cost(r, weights)), other, problem
         )
         for h, r, other in zip(current, residual, held, strict=True)
     ]
-    return rivals, is_complete
+    return models, is_complete
 
 
-def _front(
+def _most_likely(
     comparison: ModelComparison,
     best: ScoredModel,
     hypotheses: Sequence[Hypothesis],
     residuals: Sequence[FloatArray],
-    most: int,
-    behind: float,
+    max_sets: int,
+    max_deficit: float,
 ) -> tuple[list[Hypothesis], list[FloatArray]]:
     """The most likely sets by simulation with their residuals, one start of each.
 
-    Sets whose evidence is more than ``behind`` below the final set are left out.
+    Sets whose evidence is more than ``max_deficit`` below the final set are left out.
     """
     lengths = comparison.problem.lengths(comparison.problem.fit)
     problem, sets = comparison.problem, [best.hypothesis, *hypotheses]
-    left = within_a_step(problem, sets, [best.fitted.residual, *residuals], problem.fit)
-    values = evidence_on(comparison, sets, left, lengths, fitted=True)[0]
-    order = [i for i in np.argsort(-values[1:]) if values[1 + i] > values[0] - behind]
-    first = {_form(hypotheses[i]): int(i) for i in reversed(order)}
-    chosen = [int(i) for i in order if first[_form(hypotheses[i])] == i][:most]
+    residuals_with_tolerance = residuals_with_step_tolerance(
+        problem, sets, [best.fitted.residual, *residuals], problem.fit
+    )
+    values = evidence_on(comparison, sets, residuals_with_tolerance, lengths, fitted=True)[0]
+    order = [i for i in np.argsort(-values[1:]) if values[1 + i] > values[0] - max_deficit]
+    first = {_choices(hypotheses[i]): int(i) for i in reversed(order)}
+    chosen = [int(i) for i in order if first[_choices(hypotheses[i])] == i][:max_sets]
     return [hypotheses[i] for i in chosen], [residuals[i] for i in chosen]
 
 
-def _compared(
+def _rank_sets(
     comparison: ModelComparison,
     best: ScoredModel,
-    rivals: Sequence[ScoredModel],
+    models: Sequence[ScoredModel],
     linear: Linearization,
-    count: _Count,
+    count: _SimulationCount,
     possible: bool,
 ) -> ComparedSets:
     """The most likely set, and the evidence of the others relative to it."""
-    everyone = [best, *rivals]
-    values, tempering = _relative_evidence(comparison, everyone, linear)
+    all_models = [best, *models]
+    values, tempering = _relative_evidence(comparison, all_models, linear)
     if possible:
-        comparison.judge(rivals, best)
+        comparison.score_models(models, best)
         values[1:] = [
-            _decided(v, r, best, comparison) for v, r in zip(values[1:], rivals, strict=True)
+            _limit_evidence(v, r, best, comparison) for v, r in zip(values[1:], models, strict=True)
         ]
-    if not possible and rivals:
+    if not possible and models:
         values[0] = -np.inf
     top = int(np.argmax(values))
     if possible and values[top] <= EQUIVALENT.ahead:
         top = 0
-    top = _simplest_of_as_likely(everyone, values, top)
-    chosen = everyone[top]
+    top = _simplest_of_as_likely(all_models, values, top)
+    chosen = all_models[top]
     if top:
         chosen = replace(chosen, problem=comparison.problem.at(chosen.hypothesis))
-        (chosen,) = comparison.rivals([chosen.hypothesis], chosen, QUICK, slopes=True)
-    sets = _others(comparison.problem, everyone, values, top, chosen)
+        (chosen,) = comparison.fit_models(
+            [chosen.hypothesis], chosen, RANKING_ITERATIONS, slopes=True
+        )
+    sets = _other_sets(comparison.problem, all_models, values, top, chosen)
     return ComparedSets(chosen, sets, tempering, count.spent, float(values[top]))
 
 
-def _compared_in_part(
+def _rank_unfinished_sets(
     comparison: ModelComparison,
     best: ScoredModel,
-    rivals: Sequence[ScoredModel],
+    models: Sequence[ScoredModel],
     linear: Linearization,
-    count: _Count,
+    count: _SimulationCount,
 ) -> ComparedSets:
     """The final set, and the evidence of the others as far as they were fitted.
 
     A set that is not fitted to the end is at most as likely as the final one.
     """
-    everyone = [best, *rivals]
-    values, tempering = _relative_evidence(comparison, everyone, linear)
-    comparison.judge(rivals, best)
+    all_models = [best, *models]
+    values, tempering = _relative_evidence(comparison, all_models, linear)
+    comparison.score_models(models, best)
     values[1:] = [
-        min(_decided(v, r, best, comparison), 0.0) for v, r in zip(values[1:], rivals, strict=True)
+        min(_limit_evidence(v, r, best, comparison), 0.0)
+        for v, r in zip(values[1:], models, strict=True)
     ]
-    sets = _others(comparison.problem, everyone, values, 0, best)
+    sets = _other_sets(comparison.problem, all_models, values, 0, best)
     return ComparedSets(best, sets, tempering, count.spent, is_complete=False)
 
 
 def _relative_evidence(
-    comparison: ModelComparison, everyone: Sequence[ScoredModel], linear: Linearization
+    comparison: ModelComparison, all_models: Sequence[ScoredModel], linear: Linearization
 ) -> tuple[FloatArray, float]:
     """Evidence of sets relative to the first one, and the tempering for model error."""
-    idle = idle_parameters(comparison.problem, linear, [r.hypothesis for r in everyone])
-    values, tempering = set_evidence(comparison, everyone, idle)
+    idle = idle_parameters(comparison.problem, linear, [r.hypothesis for r in all_models])
+    values, tempering = set_evidence(comparison, all_models, idle)
     return values - values[0], tempering
 
 
-def _others(
+def _other_sets(
     problem: Problem,
-    everyone: Sequence[ScoredModel],
+    all_models: Sequence[ScoredModel],
     values: FloatArray,
     top: int,
     chosen: ScoredModel,
@@ -586,17 +602,19 @@ def _others(
 
     Args:
         problem: the problem.
-        everyone: all sets with their fits.
+        all_models: all sets with their fits.
         values: their evidence.
         top: index of the chosen set.
         chosen: the chosen set, fitted to the end.
     """
     likeliest = {
-        frozenset(everyone[i].hypothesis.terms): i for i in np.argsort(values, kind="stable")
+        frozenset(all_models[i].hypothesis.terms): i for i in np.argsort(values, kind="stable")
     }
     sets = [
         AlternativeSet(
-            everyone[i], float(values[i] - values[top]), _apart(problem, everyone[i], chosen)
+            all_models[i],
+            float(values[i] - values[top]),
+            _prediction_difference(problem, all_models[i], chosen),
         )
         for i in likeliest.values()
         if i != top and np.isfinite(values[i])
@@ -604,24 +622,24 @@ def _others(
     return tuple(sorted(sets, key=lambda s: -s.evidence))
 
 
-def _decided(
-    value: float, rival: ScoredModel, best: ScoredModel, comparison: ModelComparison
+def _limit_evidence(
+    value: float, model: ScoredModel, best: ScoredModel, comparison: ModelComparison
 ) -> float:
     """Evidence of a set, limited by the search's decision about the number of effects.
 
     A set with more effects is at most as likely as the final one. A set with fewer effects has the
     penalty of the missing effects if its evidence without tempering is clearly lower.
     """
-    mine, other = (size_of(comparison.problem, m.hypothesis).effects for m in (best, rival))
+    mine, other = (set_size(comparison.problem, m.hypothesis).effects for m in (best, model))
     more = other - mine
     if more > 0:
         return min(value, 0.0)
-    if more < 0 and rival.evidence < -SELECTION.earns:
+    if more < 0 and model.evidence < -SELECTION.earns:
         return min(value + comparison.penalty_per_effect * more, 0.0)
     return value
 
 
-def _simplest_of_as_likely(rivals: Sequence[ScoredModel], values: FloatArray, top: int) -> int:
+def _simplest_of_as_likely(models: Sequence[ScoredModel], values: FloatArray, top: int) -> int:
     """Index of the simplest set among those as likely and as large as the set ``top``.
 
     It has the fewest parameters, and among these sets the most effects that MJCF can express, so
@@ -629,18 +647,18 @@ def _simplest_of_as_likely(rivals: Sequence[ScoredModel], values: FloatArray, to
     """
 
     def inexpressible(i: int) -> int:
-        return sum(not mjcf_expresses(t.effect) for t in rivals[i].hypothesis.terms)
+        return sum(not mjcf_expresses(t.effect) for t in models[i].hypothesis.terms)
 
-    size = len(rivals[top].hypothesis.terms)
+    size = len(models[top].hypothesis.terms)
     alike = [
         i
-        for i, r in enumerate(rivals)
+        for i, r in enumerate(models)
         if len(r.hypothesis.terms) == size and values[i] >= values[top] - EQUIVALENT.ahead
     ]
-    return min(alike, key=lambda i: (rivals[i].hypothesis.free, inexpressible(i), i != top))
+    return min(alike, key=lambda i: (models[i].hypothesis.free_count, inexpressible(i), i != top))
 
 
-def _apart(problem: Problem, one: ScoredModel, other: ScoredModel) -> float:
+def _prediction_difference(problem: Problem, one: ScoredModel, other: ScoredModel) -> float:
     return float(
         in_noise_floors(one.fitted.residual - other.fitted.residual, problem.signal_floor).max()
     )

@@ -15,7 +15,7 @@ Likelihood = Callable[[FloatArray, FloatArray, FloatArray], float]
 NOISE_FLOORS = 1.5
 """Residuals up to this number of noise floors count as noise, because the floor is an estimate. A
 signal below this level contains no identifiable effect (``VERDICT.identifiable``)."""
-_OF_NOISE = math.sqrt(2.0 / math.pi)
+_MEAN_ABSOLUTE_DEVIATION = math.sqrt(2.0 / math.pi)
 """Mean absolute deviation of Gaussian noise, in standard deviations."""
 
 
@@ -82,7 +82,7 @@ def tempered_samples(
     return out
 
 
-def supported_by_windows(
+def consistent_evidence_bound(
     one: FloatArray, other: FloatArray, lengths: Sequence[int], floor: FloatArray
 ) -> float:
     """Upper bound of a log-likelihood ratio that is consistent across segments.
@@ -134,4 +134,6 @@ def laplace_log_likelihood(residual: FloatArray, floor: FloatArray, effective: F
     mean_deviation = np.mean(np.abs(residual), axis=0)
     if not np.isfinite(mean_deviation).all():
         return -np.inf
-    return float(-np.sum(effective * np.log(np.maximum(mean_deviation, _OF_NOISE * floor))))
+    return float(
+        -np.sum(effective * np.log(np.maximum(mean_deviation, _MEAN_ABSOLUTE_DEVIATION * floor)))
+    )

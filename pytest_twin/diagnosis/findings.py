@@ -12,14 +12,13 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import Spread, parameter_spread
-from pytest_twin.diagnosis.locate import TimeAndRegime, motions, place_of
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
+from pytest_twin.diagnosis.locate import TimeAndRegime, locate_error, smooth_motions
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, joint_name, label
 from pytest_twin.diagnosis.search.pruning import PrunedModel
-from pytest_twin.diagnosis.search.scored_model import Alternative as Rivalling
-from pytest_twin.diagnosis.search.scored_model import SelectedModel
+from pytest_twin.diagnosis.search.scored_model import AlternativeEffects, SelectedModel
 from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.diagnosis.verdict import UNSEEN, JointError
 from pytest_twin.effects.base import Parameter
@@ -45,7 +44,8 @@ class Alternative:
         confidence: posterior share of the set.
         together_with: (effect, joint) of the other effects of the set.
         instead_of: (effect, joint) of the findings that it replaces, where it is more than one.
-        apart: largest RMS difference between the two predictions, in noise floors; None if unknown.
+        prediction_difference: largest RMS difference between the two predictions, in noise floors;
+            None if unknown.
     """
 
     effect: str
@@ -53,7 +53,7 @@ class Alternative:
     confidence: float
     together_with: tuple[tuple[str, str | None], ...] = ()
     instead_of: tuple[tuple[str, str | None], ...] = ()
-    apart: float | None = None
+    prediction_difference: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class Finding:
 
 
 @dataclass(slots=True)
-class Explained:
+class Explanation:
     """Findings, with their hypothesis and the covariance of its parameters.
 
     Attributes:
@@ -107,12 +107,12 @@ class Explained:
     reduced_models: Mapping[Term, Hypothesis] = field(default_factory=dict)
 
 
-def explain(
-    prepared: Prepared,
+def build_explanation(
+    prepared: PreparedProblem,
     selected: SelectedModel,
     pruned: PrunedModel,
     trials: Sequence[Trial],
-) -> Explained:
+) -> Explanation:
     """Findings of the selected model, with intervals, gains and alternatives.
 
     Args:
@@ -126,25 +126,25 @@ def explain(
     """
     hypothesis = pruned.fitted.hypothesis
     if not hypothesis.terms:
-        return Explained((), hypothesis, notes=pruned.notes)
+        return Explanation((), hypothesis, notes=pruned.notes)
     problem = prepared.problem.at(hypothesis)
-    width = parameter_spread(problem, pruned.fitted, selected.near)
+    uncertainty = parameter_uncertainty(problem, pruned.fitted, selected.nearby_models)
     without_each = [hypothesis.without(t) for t in hypothesis.terms]
-    residuals = problem.residuals([hypothesis, *pruned.reduced_models], problem.everywhere)
-    changes = _changes(problem, [hypothesis, *without_each])
-    influence = [c.height for c in changes]
+    residuals = problem.residuals([hypothesis, *pruned.reduced_models], problem.all_segments)
+    changes = _prediction_changes(problem, [hypothesis, *without_each])
+    influence = [c.largest for c in changes]
     small = small_corrections(
         problem, hypothesis, np.array([c.positions for c in changes]), _nominal_error(problem)
     )
     gains = _gains(problem, residuals)
-    paths = motions(prepared, trials)
+    paths = smooth_motions(prepared, trials)
     found = []
-    for term, without, gain, height in zip(
+    for term, without, gain, largest in zip(
         hypothesis.terms, residuals[1:], gains, influence, strict=True
     ):
-        blame = _blame(problem, term, residuals[0], without)
+        error_increase = _error_increase(problem, term, residuals[0], without)
         at = max(term.joint, 0)
-        where = place_of(paths, blame, at, joint_unit(problem, at))
+        where = locate_error(paths, error_increase, at, joint_unit(problem, at))
         others = selected.alternatives_to(term)
         confidence = selected.confidence.get(term, 1.0)
         if not np.isfinite(confidence):
@@ -156,7 +156,7 @@ def explain(
                 f"{label(problem, term)}: the encoder of this joint gives no information. The "
                 "effect was identified from the other joints only; confidence is at most 50 %"
             )
-        if hypothesis.at_bound(term) or problem.has_shape_at_bound(hypothesis, term):
+        if hypothesis.is_at_bound(term) or problem.has_shape_at_bound(hypothesis, term):
             confidence = min(confidence, FINDINGS.most_in_doubt)
             pruned.notes.append(
                 f"{label(problem, term)}: a parameter is at its physical bound. Another effect may "
@@ -167,61 +167,66 @@ def explain(
                 effect=term.effect,
                 joint=joint_name(problem, term),
                 confidence=confidence,
-                parameters=_estimates(problem, hypothesis, term, width),
+                parameters=_build_estimates(problem, hypothesis, term, uncertainty),
                 where=where,
                 held_out_gain=gain,
-                influence=height,
+                influence=largest,
                 alternatives=tuple(
                     _alternative(problem, a) for a in others if _is_worth_listing(a)
                 )[: FINDINGS.most_alternatives],
                 next_test=_next_test(term, [t for a in others for t in a.new]),
-                correlated=trade_offs(problem, hypothesis, term, width),
+                correlated=describe_correlations(problem, hypothesis, term, uncertainty),
                 term=term,
                 small=small.get(term, ""),
             )
         )
     found.sort(key=lambda f: -f.influence)
     reduced_models = dict(zip(hypothesis.terms, pruned.reduced_models, strict=True))
-    return Explained(tuple(found), hypothesis, pruned.notes, reduced_models)
+    return Explanation(tuple(found), hypothesis, pruned.notes, reduced_models)
 
 
-def _is_worth_listing(rival: Rivalling) -> bool:
+def _is_worth_listing(alternative: AlternativeEffects) -> bool:
     """Whether an alternative is reported: it is likely enough, or its prediction is the same.
 
     The second kind is reported even if its number of effects makes it unlikely.
     """
-    same = rival.apart is not None and rival.apart <= FINDINGS.same_prediction
-    return rival.confidence > FINDINGS.least_listed or same
+    same = (
+        alternative.prediction_difference is not None
+        and alternative.prediction_difference <= FINDINGS.same_prediction
+    )
+    return alternative.confidence > FINDINGS.least_listed or same
 
 
-def _alternative(problem: Problem, rival: Rivalling) -> Alternative:
-    places = [(t.effect, joint_name(problem, t)) for t in rival.new]
-    replaced = tuple((t.effect, joint_name(problem, t)) for t in rival.removed)
+def _alternative(problem: Problem, other: AlternativeEffects) -> Alternative:
+    places = [(t.effect, joint_name(problem, t)) for t in other.new]
+    replaced = tuple((t.effect, joint_name(problem, t)) for t in other.removed)
     (effect, joint), *more = places
     instead_of = replaced if len(replaced) > 1 else ()
-    return Alternative(effect, joint, rival.confidence, tuple(more), instead_of, rival.apart)
+    return Alternative(
+        effect, joint, other.confidence, tuple(more), instead_of, other.prediction_difference
+    )
 
 
-def with_gains(explained: Explained, gains: Mapping[Term, float]) -> Explained:
+def with_gains(explanation: Explanation, gains: Mapping[Term, float]) -> Explanation:
     """The same findings with other held-out gains.
 
     Args:
-        explained: the findings.
+        explanation: the findings.
         gains: term -> share of the squared held-out error that it removes.
     """
-    findings = tuple(replace(f, held_out_gain=gains[f.term]) for f in explained.findings)
-    return replace(explained, findings=findings)
+    findings = tuple(replace(f, held_out_gain=gains[f.term]) for f in explanation.findings)
+    return replace(explanation, findings=findings)
 
 
-def limit_contradicted_confidence(explained: Explained, notes: list[str]) -> Explained:
+def limit_contradicted_confidence(explanation: Explanation, notes: list[str]) -> Explanation:
     """The same findings, with at most 50 % confidence if one increases the held-out error.
 
     Args:
-        explained: findings with their gains on held-out recordings.
+        explanation: findings with their gains on held-out recordings.
         notes: receives a line for each such finding.
     """
     findings = []
-    for f in explained.findings:
+    for f in explanation.findings:
         if f.held_out_gain < -FINDINGS.chance:
             name = f.effect if f.joint is None else f"{f.effect} at {f.joint}"
             notes.append(
@@ -230,51 +235,51 @@ def limit_contradicted_confidence(explained: Explained, notes: list[str]) -> Exp
             )
             f = replace(f, confidence=min(f.confidence, FINDINGS.most_in_doubt))
         findings.append(f)
-    return replace(explained, findings=tuple(findings))
+    return replace(explanation, findings=tuple(findings))
 
 
 def limit_unexplained_confidence(
-    explained: Explained, errors: Mapping[str, JointError]
-) -> Explained:
+    explanation: Explanation, errors: Mapping[str, JointError]
+) -> Explanation:
     """The same findings with at most 80 % confidence where a residual remains.
 
     A confidence compares effects of the catalogue with one another. A residual shows that
     something else acts at the joint, and a finding may be only similar to it.
 
     Args:
-        explained: the findings.
+        explanation: the findings.
         errors: joint -> errors on the held-out recordings; a finding of the whole robot needs all.
     """
     findings = []
-    for f in explained.findings:
+    for f in explanation.findings:
         of_finding = [e for joint, e in errors.items() if f.joint in (None, joint)]
         if not all(e.is_explained for e in of_finding):
             f = replace(f, confidence=min(f.confidence, FINDINGS.most_unexplained))
         findings.append(f)
-    return replace(explained, findings=tuple(findings))
+    return replace(explanation, findings=tuple(findings))
 
 
-def limit_untested_confidence(explained: Explained) -> Explained:
+def limit_untested_confidence(explanation: Explanation) -> Explanation:
     """The same findings with at most 80 % confidence, because no recording was held out."""
     findings = tuple(
         replace(f, confidence=min(f.confidence, FINDINGS.most_without_held_out))
-        for f in explained.findings
+        for f in explanation.findings
     )
-    return replace(explained, findings=findings)
+    return replace(explanation, findings=findings)
 
 
-def held_out_gains(problem: Problem, explained: Explained) -> dict[Term, float]:
+def held_out_gains(problem: Problem, explanation: Explanation) -> dict[Term, float]:
     """Term -> share of the squared error on the held-out recordings that it removes.
 
     Args:
         problem: a problem with the same joints and scales.
-        explained: findings, with the hypotheses that were refitted without each.
+        explanation: findings, with the hypotheses that were refitted without each.
     """
-    terms = explained.hypothesis.terms
-    each = [explained.hypothesis, *(explained.reduced_models[t] for t in terms)]
-    problem = problem.at(explained.hypothesis)
+    terms = explanation.hypothesis.terms
+    each = [explanation.hypothesis, *(explanation.reduced_models[t] for t in terms)]
+    problem = problem.at(explanation.hypothesis)
     return dict(
-        zip(terms, _gains(problem, problem.residuals(each, problem.everywhere)), strict=True)
+        zip(terms, _gains(problem, problem.residuals(each, problem.all_segments)), strict=True)
     )
 
 
@@ -285,14 +290,14 @@ def _gains(problem: Problem, residuals: Sequence[FloatArray]) -> list[float]:
         problem: the problem.
         residuals: (samples, signals) over all segments, with all terms, then without each.
     """
-    inside = problem.in_test
+    inside = problem.is_in_test
     with_all, *without = (
         float((in_noise_floors(r[inside], problem.signal_floor) ** 2).sum()) for r in residuals
     )
     return [_gain(error, with_all) for error in without]
 
 
-def order_by_whole_motions(explained: Explained, problem: Problem) -> Explained:
+def order_by_whole_motions(explanation: Explanation, problem: Problem) -> Explanation:
     """Findings of short windows, reordered by their influence on whole motions of ``problem``.
 
     An integrated velocity or an oscillating servo changes whole motions more than any window. If a
@@ -300,43 +305,47 @@ def order_by_whole_motions(explained: Explained, problem: Problem) -> Explained:
     ``FINDINGS.moves_motions`` times the residual keep their order behind the others: such motions
     have diverged, and their differences carry no information.
     """
-    hypothesis = explained.hypothesis
+    hypothesis = explanation.hypothesis
     problem = problem.at(hypothesis)
-    without_each = [hypothesis.without(f.term) for f in explained.findings]
+    without_each = [hypothesis.without(f.term) for f in explanation.findings]
     influence = differences_in_floors(problem, [hypothesis, *without_each])
-    (errors,) = problem.errors([hypothesis], problem.tested)
+    (errors,) = problem.errors([hypothesis], problem.tested_segments)
     residual = float(in_noise_floors(errors[:, : len(problem.joints)], problem.floor).max())
     if not np.isfinite([*influence, residual]).all():
-        return explained
-    moved = [replace(f, influence=s) for f, s in zip(explained.findings, influence, strict=True)]
+        return explanation
+    reordered = [
+        replace(f, influence=s) for f, s in zip(explanation.findings, influence, strict=True)
+    ]
     least = FINDINGS.moves_motions * residual
-    order = sorted(moved, key=lambda f: -f.influence if f.influence > least else 0.0)
-    return replace(explained, findings=tuple(order))
+    order = sorted(reordered, key=lambda f: -f.influence if f.influence > least else 0.0)
+    return replace(explanation, findings=tuple(order))
 
 
 @dataclass(frozen=True, slots=True)
-class _Change:
+class _PredictionChange:
     """Difference between two predictions.
 
     Attributes:
         positions: (joints,) RMS difference of positions, rad or m.
-        height: largest RMS difference of a joint, in noise floors. It is that of efforts if no
+        largest: largest RMS difference of a joint, in noise floors. It is that of efforts if no
             position differs.
     """
 
     positions: FloatArray
-    height: float
+    largest: float
 
 
-def _changes(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[_Change]:
+def _prediction_changes(
+    problem: Problem, hypotheses: Sequence[Hypothesis]
+) -> list[_PredictionChange]:
     """Difference of each prediction to the first.
 
     In windows under effort commands only the beginning counts: later the open-loop motion diverges
     after any change.
     """
-    first, *others = problem.predict(hypotheses, problem.tested)
-    segments = [problem.simulator.segments[s] for s in problem.tested]
-    soon = [
+    first, *others = problem.predict(hypotheses, problem.tested_segments)
+    segments = [problem.simulator.segments[s] for s in problem.tested_segments]
+    beginnings = [
         slice(
             int(np.searchsorted(s.time, s.start + FINDINGS.soon))
             if s.mode == "effort" and s.starts_in_motion
@@ -348,25 +357,25 @@ def _changes(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[_Change
     for other in others:
         pairs = list(zip(first, other, strict=True))
         position = np.concatenate(
-            [a.position[n] - b.position[n] for (a, b), n in zip(pairs, soon, strict=True)]
+            [a.position[n] - b.position[n] for (a, b), n in zip(pairs, beginnings, strict=True)]
         )
         levels = in_noise_floors(position, problem.floor)
-        height = float(levels.max())
-        if height == 0.0 and problem.effort_floor is not None:
+        largest = float(levels.max())
+        if largest == 0.0 and problem.effort_floor is not None:
             effort = np.concatenate([a.effort - b.effort for a, b in pairs])
-            height = float(in_noise_floors(effort, problem.effort_floor).max())
-        out.append(_Change(levels * problem.floor, height))
+            largest = float(in_noise_floors(effort, problem.effort_floor).max())
+        out.append(_PredictionChange(levels * problem.floor, largest))
     return out
 
 
 def differences_in_floors(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[float]:
     """Largest difference of each prediction to the first, in noise floors."""
-    return [change.height for change in _changes(problem, hypotheses)]
+    return [change.largest for change in _prediction_changes(problem, hypotheses)]
 
 
 def _nominal_error(problem: Problem) -> FloatArray:
     """(joints,) RMS error of the nominal model, rad or m."""
-    (errors,) = problem.errors([EMPTY], problem.tested)
+    (errors,) = problem.errors([EMPTY], problem.tested_segments)
     levels = in_noise_floors(errors[:, : len(problem.joints)], problem.floor)
     return np.asarray(levels * problem.floor)
 
@@ -378,7 +387,9 @@ def _gain(without: float, with_it: float) -> float:
     return float(np.clip((without - with_it) / without, -1.0, 1.0)) if without > 0.0 else 0.0
 
 
-def _blame(problem: Problem, term: Term, best: FloatArray, without: FloatArray) -> FloatArray:
+def _error_increase(
+    problem: Problem, term: Term, best: FloatArray, without: FloatArray
+) -> FloatArray:
     """(samples,) increase of the squared error without the term, in squared floors."""
     rise = (without**2 - best**2) / problem.signal_floor**2
     diverged = ~np.isfinite(rise)
@@ -402,8 +413,8 @@ def joint_unit(problem: Problem, joint: int) -> str:
     return "m" if joint_type(problem, joint) == "slide" else "rad"
 
 
-def _estimates(
-    problem: Problem, hypothesis: Hypothesis, term: Term, width: Spread
+def _build_estimates(
+    problem: Problem, hypothesis: Hypothesis, term: Term, uncertainty: ParameterUncertainty
 ) -> dict[str, Estimate]:
     place = hypothesis.slice_of(term)
     kind = joint_type(problem, term.joint)
@@ -414,13 +425,17 @@ def _estimates(
         if not has[i - place.start]:
             continue
         scale = problem.scales.value(p, term.joint)
-        found[p.reported_name] = estimate(
-            p, float(hypothesis.theta[i]), float(width.half_width[i]), scale, p.unit(kind, servo)
+        found[p.reported_name] = build_estimate(
+            p,
+            float(hypothesis.theta[i]),
+            float(uncertainty.half_width[i]),
+            scale,
+            p.unit(kind, servo),
         )
     return found
 
 
-def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -> Estimate:
+def build_estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -> Estimate:
     """The reported value and 95 % interval of a parameter, finite and within its bounds.
 
     Args:
@@ -444,8 +459,8 @@ def estimate(p: Parameter, theta: float, half: float, scale: float, unit: str) -
     )
 
 
-def trade_offs(
-    problem: Problem, hypothesis: Hypothesis, term: Term, width: Spread
+def describe_correlations(
+    problem: Problem, hypothesis: Hypothesis, term: Term, uncertainty: ParameterUncertainty
 ) -> tuple[str, ...]:
     """One line for each pair of strongly correlated parameters: the combination that is known.
 
@@ -453,7 +468,7 @@ def trade_offs(
         problem: the problem.
         hypothesis: all terms with their parameters.
         term: the term whose parameters are described.
-        width: covariance and correlation of the parameters.
+        uncertainty: covariance and correlation of the parameters.
     """
     owner = [(t, p) for t in hypothesis.terms for p in t.parameters]
     place = hypothesis.slice_of(term)
@@ -462,22 +477,22 @@ def trade_offs(
     for i in moved[(place.start <= moved) & (moved < place.stop)]:
         for k in moved:
             other, q = owner[k]
-            rho = float(width.correlation[i, k])
+            rho = float(uncertainty.correlation[i, k])
             if k == i or not abs(rho) >= FINDINGS.correlated or (other == term and k < i):
                 continue
             p = owner[i][1]
             p_scale = problem.scales.value(p, term.joint)
             q_scale = problem.scales.value(q, other.joint)
-            sd = np.sqrt(np.diag(width.covariance).clip(1e-300))
+            sd = np.sqrt(np.diag(uncertainty.covariance).clip(1e-300))
             # This combination is constant along the correlated direction.
             slope = -rho * sd[i] * p_scale / (sd[k] * q_scale)
             value = hypothesis.theta[i] * p_scale + slope * hypothesis.theta[k] * q_scale
-            narrow = width.quantile * sd[i] * p_scale * np.sqrt(max(1.0 - rho * rho, 0.0))
+            half_width = uncertainty.quantile * sd[i] * p_scale * np.sqrt(max(1.0 - rho * rho, 0.0))
             name = _parameter_name(problem, other, q, term)
             lines.append(
                 f"{p.name} and {name} are strongly correlated ({rho:+.2f}); better known is "
                 f"{p.name} {'+' if slope >= 0 else '-'} {abs(slope):.3g} x {name} = "
-                f"{value:.4g} +- {narrow:.2g} (SI units, 95 %)"
+                f"{value:.4g} +- {half_width:.2g} (SI units, 95 %)"
             )
     return tuple(lines)
 
@@ -490,14 +505,14 @@ def _parameter_name(problem: Problem, term: Term, p: Parameter, described: Term)
     return f"{p.name} of {term.effect}" + ("" if joint is None else f" at {joint}")
 
 
-def _next_test(term: Term, rivals: Sequence[Term]) -> str:
+def _next_test(term: Term, alternatives: Sequence[Term]) -> str:
     """The experiment that separates a term from its most likely alternative."""
-    for rival in rivals:
-        for one, other in ((term, rival), (rival, term)):
+    for alternative in alternatives:
+        for one, other in ((term, alternative), (alternative, term)):
             text = one.law.confused_with.get(other.effect)
             if text is not None:
                 return str(text)
-        if rival.effect == term.effect and rival.joint != term.joint:
+        if alternative.effect == term.effect and alternative.joint != term.joint:
             return "move one joint at a time: only the faulty joint shows the error"
     texts = term.law.confused_with
     return next(iter(texts.values()), "make another recording of the same kind and hold it out")
@@ -536,12 +551,12 @@ def _alternative_json(alternative: Alternative) -> dict[str, Any]:
         places = getattr(alternative, key)
         if places:
             out[key] = [{"effect": effect, "joint": joint} for effect, joint in places]
-    if alternative.apart is not None:
-        out["difference_in_floors"] = round(alternative.apart, 3)
+    if alternative.prediction_difference is not None:
+        out["difference_in_floors"] = round(alternative.prediction_difference, 3)
     return out
 
 
 __all__ = [
-    "Alternative", "Estimate", "Explained", "Finding", "explain", "finding_json",
+    "Alternative", "Estimate", "Explanation", "Finding", "build_explanation", "finding_json",
     "joint_type", "joint_unit",
 ]  # fmt: skip

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pytest_twin.diagnosis.budget import RESERVED, Budget
+from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.quick_diagnosis import QuickDiagnosis, quick_diagnosis
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import Realization
@@ -20,7 +20,7 @@ FIRST_SECONDS = 10.0
 
 
 def first_answer(
-    realization: Realization, trials: Sequence[Trial], patched: Patched | None, seconds: float
+    realization: Realization, trials: Sequence[Trial], patched: PatchedModel | None, seconds: float
 ) -> QuickDiagnosis | None:
     """A quick diagnosis of the recording with the largest error relative to its motion.
 
@@ -33,15 +33,15 @@ def first_answer(
     Returns:
         The quick diagnosis; None if time runs out or the model cannot be simulated.
     """
-    budget = Budget(seconds / (1.0 - RESERVED), own_time=True)
+    budget = Budget(seconds / (1.0 - RESERVED_SHARE), own_time=True)
     try:
         with budget.searching(), np.errstate(over="ignore", invalid="ignore"):
-            return quick_diagnosis(realization, _worst(realization, trials), patched)
+            return quick_diagnosis(realization, _worst_trial(realization, trials), patched)
     except (OutOfTime, TwinError):
         return None
 
 
-def _worst(realization: Realization, trials: Sequence[Trial]) -> Trial:
+def _worst_trial(realization: Realization, trials: Sequence[Trial]) -> Trial:
     """The trial with the largest RMS error relative to the travel of a joint."""
     if len(trials) == 1:
         return trials[0]

@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis
 # Levenberg-Marquardt damping factors, relative to the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
 # A step that reduces the cost below this share of it keeps the Jacobian for the next step.
-_FAST = 0.5
+_FAST_REDUCTION = 0.5
 # A fit stops when a step reduces the cost by less than this share.
 _CONVERGED = 1e-4
 # Finite-difference step of the coordinates.
@@ -24,7 +24,7 @@ _COORDINATE_STEP = 1e-6
 # of the residual: its slope is rounding error. Example: the roll of a base with level axes only.
 _NEGLIGIBLE_CHANGE = 1e-4
 # Shares of a parameter's reach that are tried in addition to the step along the slope.
-_REACHED = (-1.0, -0.25, 0.25, 1.0)
+_REACH_SHARES = (-1.0, -0.25, 0.25, 1.0)
 
 
 class Residuals(Protocol):
@@ -37,7 +37,7 @@ class Residuals(Protocol):
 
 
 @dataclass(slots=True)
-class Fitted:
+class FittedModel:
     """A hypothesis at its optimum.
 
     Attributes:
@@ -69,7 +69,7 @@ def fit(
     iterations: int,
     slopes: bool = True,
     jacobians: Sequence[FloatArray] | None = None,
-) -> list[Fitted]:
+) -> list[FittedModel]:
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
     Args:
@@ -92,7 +92,7 @@ def fit(
     residual = problem.residuals(current, segments)
     cost = [weighted_cost(r, weights) for r in residual]
     known: list[FloatArray | None] = [None] * len(current) if jacobians is None else [*jacobians]
-    fresh = [False] * len(current)
+    is_current = [False] * len(current)
     active = [i for i, h in enumerate(current) if h.theta.size]
     for _ in range(iterations):
         if not active:
@@ -101,51 +101,55 @@ def fit(
         if missing:
             _fill_jacobians(problem, current, residual, segments, missing, known)
             for i in missing:
-                fresh[i] = True
+                is_current[i] = True
         trials: list[Hypothesis] = []
         ends = [0]
         for i in active:
             jac = known[i]
             assert jac is not None
-            trials += proposals(current[i], residual[i], jac, weights, _DAMPINGS)
+            trials += propose_steps(current[i], residual[i], jac, weights, _DAMPINGS)
             ends.append(len(trials))
         tried = problem.residuals(trials, segments)
-        still = []
+        unconverged = []
         for k, i in enumerate(active):
             options = range(ends[k], ends[k + 1])
             best = min(options, key=lambda o: weighted_cost(tried[o], weights))
             gained = weighted_cost(tried[best], weights)
             # The Jacobian is kept as long as it reduces the cost fast.
-            fast = gained < _FAST * cost[i]
+            fast = gained < _FAST_REDUCTION * cost[i]
             if jacobians is not None:
                 step = trials[best].theta - current[i].theta
-                known[i] = _corrected(known[i], step, residual[i] - tried[best])
-                fresh[i] = True
+                known[i] = _broyden_update(known[i], step, residual[i] - tried[best])
+                is_current[i] = True
             if gained < cost[i]:
-                if gained < cost[i] * (1.0 - _CONVERGED) or not fresh[i]:
-                    still.append(i)
+                if gained < cost[i] * (1.0 - _CONVERGED) or not is_current[i]:
+                    unconverged.append(i)
                 current[i], residual[i], cost[i] = trials[best], tried[best], gained
-            elif not fresh[i]:
-                still.append(i)
-            fresh[i] = False
+            elif not is_current[i]:
+                unconverged.append(i)
+            is_current[i] = False
             if not fast and jacobians is None:
                 known[i] = None
-        active = still
+        active = unconverged
     if slopes:
-        stale = [i for i, h in enumerate(current) if not fresh[i] and h.theta.size]
-        if stale:
-            _fill_jacobians(problem, current, residual, segments, stale, known)
+        outdated = [i for i, h in enumerate(current) if not is_current[i] and h.theta.size]
+        if outdated:
+            _fill_jacobians(problem, current, residual, segments, outdated, known)
     out = []
     for i, h in enumerate(current):
         jac = known[i]
         shape = (*residual[i].shape, 0)
         out.append(
-            Fitted(h, residual[i], np.empty(shape) if jac is None or not slopes else jac, cost[i])
+            FittedModel(
+                h, residual[i], np.empty(shape) if jac is None or not slopes else jac, cost[i]
+            )
         )
     return out
 
 
-def _corrected(jacobian: FloatArray | None, step: FloatArray, change: FloatArray) -> FloatArray:
+def _broyden_update(
+    jacobian: FloatArray | None, step: FloatArray, change: FloatArray
+) -> FloatArray:
     """Broyden's rank-one update: the Jacobian then reproduces ``change`` for ``step``."""
     assert jacobian is not None
     length = float(step @ step)
@@ -208,7 +212,7 @@ def finite_differences(h: Hypothesis) -> tuple[list[Hypothesis], list[float]]:
     return rows, steps
 
 
-def proposals(
+def propose_steps(
     h: Hypothesis,
     residual: FloatArray,
     jacobian: FloatArray,
@@ -224,7 +228,7 @@ def proposals(
         weights: (signals,) reciprocal standard deviations.
         dampings: relative to the diagonal of the normal matrix.
     """
-    damped_steps = [propose(h, residual, jacobian, weights, d) for d in dampings]
+    damped_steps = [propose_step(h, residual, jacobian, weights, d) for d in dampings]
     return damped_steps + distant_steps(h)
 
 
@@ -238,24 +242,24 @@ def distant_steps(h: Hypothesis) -> list[Hypothesis]:
     for k, p in enumerate(parameters):
         if p.reach is None:
             continue
-        for part in _REACHED:
+        for part in _REACH_SHARES:
             theta = h.theta.copy()
             theta[k] = np.clip(theta[k] + part * p.reach, p.lower, p.upper)
             rows.append(h.with_theta(theta))
     return rows
 
 
-def propose(
+def propose_step(
     h: Hypothesis, residual: FloatArray, jacobian: FloatArray, weights: FloatArray, damping: float
 ) -> Hypothesis:
     """A damped Gauss-Newton step within the bounds, in the coordinates of each law.
 
     A parameter at a bound stays there if its step points outwards. The hypothesis is unchanged if
-    the normal matrix overflows. Arguments are as in :func:`proposals`.
+    the normal matrix overflows. Arguments are as in :func:`propose_steps`.
     """
     lower, upper = h.bounds
     slopes = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
-    a = slopes @ _chart(h)
+    a = slopes @ _coordinate_jacobian(h)
     b = np.nan_to_num(residual * weights).ravel()
     normal, gradient = a.T @ a, a.T @ b
     moves = np.sqrt(np.mean(slopes**2, axis=0)) * h.sizes
@@ -283,7 +287,7 @@ def propose(
     return h.with_theta(np.clip(theta, lower, upper))
 
 
-def _chart(h: Hypothesis) -> FloatArray:
+def _coordinate_jacobian(h: Hypothesis) -> FloatArray:
     """(parameters, parameters) Jacobian of the parameters with respect to their coordinates."""
     here = h.coordinates
     moved = [h.from_coordinates(here + _COORDINATE_STEP * e) for e in np.eye(h.theta.size)]

@@ -27,10 +27,10 @@ from pytest_twin.effects.segment import Segment
 # Finite-difference step of initial positions (rad or m) and velocities (rad/s or m/s).
 _STEP = 1e-4
 # Initial motor positions that are tried, and their limit, in standard deviations of the prior.
-_TRIED, _FAR = (-2.0, -1.0, 1.0, 2.0), 3.0
+_TRIED_SHIFTS, _MAX_SHIFT = (-2.0, -1.0, 1.0, 2.0), 3.0
 # Largest number of Gauss-Newton steps, the smallest step in standard deviations, and the share of
 # the misfit below which a step is accepted.
-_PLACINGS, _SETTLED, _NO_WORSE = 6, 0.005, 1.01
+_MAX_STEPS, _MIN_STEP, _MISFIT_SHARE = 6, 0.005, 1.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,8 @@ class FreeInitialState:
 
     Attributes:
         response: (samples * joints, shifts) Jacobian of positions with respect to the free part of
-            the initial state (:func:`free_shifts`), then to motors behind elastic transmissions.
+            the initial state (:func:`count_free_states`), then to motors behind elastic
+            transmissions.
         solve: (shifts, samples * joints) maps a residual to the most probable shift (MAP estimate).
         motors: (joints,) standard deviation of initial motor positions, rad or m; 0 with a rigid
             transmission.
@@ -49,7 +50,7 @@ class FreeInitialState:
     solve: FloatArray
     motors: FloatArray
 
-    def freed(self, residual: FloatArray) -> FloatArray:
+    def without_initial_error(self, residual: FloatArray) -> FloatArray:
         """(samples, joints) residual minus the part that a shift of the initial state explains."""
         flat = residual.ravel()
         remaining: FloatArray = flat - self.response @ (self.solve @ flat)
@@ -62,9 +63,9 @@ class FreeInitialState:
             residual: (samples, joints) rad or m.
         """
         shift = np.zeros(len(self.motors))
-        behind = self.motors > 0.0
-        if behind.any():
-            shift[behind] = (self.solve @ residual.ravel())[-int(behind.sum()) :]
+        is_elastic = self.motors > 0.0
+        if is_elastic.any():
+            shift[is_elastic] = (self.solve @ residual.ravel())[-int(is_elastic.sum()) :]
         return shift
 
 
@@ -75,15 +76,15 @@ class FreeInitialStates:
     Attributes:
         free: free initial state of each segment in which its error would not decay.
         motor_shifts: (joints,) shift of initial motor positions, rad or m, as in :class:`Segment`.
-        stepped: number of simulated steps that were needed.
+        simulated_steps: number of simulated steps that were needed.
     """
 
     free: dict[int, FreeInitialState]
     motor_shifts: dict[int, FloatArray]
-    stepped: int = 0
+    simulated_steps: int = 0
 
 
-def free_shifts(segment: Segment) -> int:
+def count_free_states(segment: Segment) -> int:
     """Number of free elements of a segment's initial (positions, velocities).
 
     With velocity servos only positions are free: the servo removes an error of the velocity fast,
@@ -119,27 +120,29 @@ def free_initial_states(
             scales. With friction an error of the velocity decays, without it grows.
         fixed: effects in addition to every hypothesis, values (1, joints).
     """
-    if not any(map(free_shifts, segments)):
+    if not any(map(count_free_states, segments)):
         return FreeInitialStates({}, {})
     scales = scales or Scales({})
     simulator = BatchSimulator(segments, joints, threads=threads, fixed=fixed)
-    stretch = _stretch(simulator, hypothesis, scales)
-    search = _InitialStateSearch(simulator, noise, hypothesis, scales, stretch)
-    for deviations in _TRIED if search.shifts else ():
+    motor_deviations = _motor_deviations(simulator, hypothesis, scales)
+    search = _InitialStateSearch(simulator, noise, hypothesis, scales, motor_deviations)
+    for deviations in _TRIED_SHIFTS if search.shifts else ():
         search.accept_better(
-            {i: deviations * stretch[i] for i in search.shifts}, WINDOWS.motor_misfit
+            {i: deviations * motor_deviations[i] for i in search.shifts}, WINDOWS.motor_misfit
         )
     active = list(search.shifts)
-    for _ in range(_PLACINGS):
+    for _ in range(_MAX_STEPS):
         steps = {i: search.found[i].motor_step for i in active}
-        active = [i for i, step in steps.items() if (np.abs(step) > _SETTLED * stretch[i]).any()]
+        active = [
+            i for i, step in steps.items() if (np.abs(step) > _MIN_STEP * motor_deviations[i]).any()
+        ]
         if not active:
             break
-        most = {i: _FAR * stretch[i] for i in active}
+        most = {i: _MAX_SHIFT * motor_deviations[i] for i in active}
         tried = {i: np.clip(search.shifts[i] + steps[i], -most[i], most[i]) for i in active}
-        active = search.accept_better(tried, _NO_WORSE)
+        active = search.accept_better(tried, _MISFIT_SHARE)
     free = {i: simulated.start for i, simulated in search.found.items()}
-    return FreeInitialStates(free, search.shifts, search.stepped)
+    return FreeInitialStates(free, search.shifts, search.simulated_steps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +172,7 @@ class _InitialStateSearch:
         found: segment -> simulation from its best initial state.
         shifts: segment -> (joints,) shift of its initial motor positions; only segments with
             elastic transmissions.
-        stepped: number of simulated steps.
+        simulated_steps: number of simulated steps.
     """
 
     def __init__(
@@ -178,15 +181,19 @@ class _InitialStateSearch:
         noise: FloatArray,
         hypothesis: Hypothesis,
         scales: Scales,
-        stretch: FloatArray,
+        motor_deviations: FloatArray,
     ) -> None:
         self._simulator, self._noise = simulator, noise
-        self._hypothesis, self._scales, self._stretch = hypothesis, scales, stretch
-        self.stepped = 0
+        self._hypothesis, self._scales, self._motor_deviations = (
+            hypothesis,
+            scales,
+            motor_deviations,
+        )
+        self.simulated_steps = 0
         none = np.zeros(len(simulator.joints))
-        free = [i for i, s in enumerate(simulator.segments) if free_shifts(s)]
-        self.found = self._simulated(dict.fromkeys(free, none))
-        self.shifts = {i: none for i in self.found if stretch[i].any()}
+        free = [i for i, s in enumerate(simulator.segments) if count_free_states(s)]
+        self.found = self._simulate(dict.fromkeys(free, none))
+        self.shifts = {i: none for i in self.found if motor_deviations[i].any()}
 
     def accept_better(self, tried: Mapping[int, FloatArray], share: float) -> list[int]:
         """Accept tried motor positions that reduce the misfit below a share of its value.
@@ -198,17 +205,17 @@ class _InitialStateSearch:
         Returns:
             The segments whose shift was accepted.
         """
-        simulated = self._simulated(tried)
+        simulated = self._simulate(tried)
         better = [i for i, s in simulated.items() if s.misfit < share * self.found[i].misfit]
         self.found.update({i: simulated[i] for i in better})
         self.shifts.update({i: tried[i] for i in better})
         return better
 
-    def _simulated(self, shifts: Mapping[int, FloatArray]) -> dict[int, _SimulatedStart]:
+    def _simulate(self, shifts: Mapping[int, FloatArray]) -> dict[int, _SimulatedStart]:
         """Simulate segments with shifted motors; those that diverge are left out."""
         known = self._simulator
         moved = {i: replace(known.segments[i], motor_shift=x) for i, x in shifts.items()}
-        shifted = [_shifted(s, self._stretch[i]) for i, s in moved.items()]
+        shifted = [_perturbed_segments(s, self._motor_deviations[i]) for i, s in moved.items()]
         if not shifted:
             return {}
         simulator = BatchSimulator(
@@ -217,35 +224,37 @@ class _InitialStateSearch:
         rows = np.arange(len(simulator.segments))
         values = effect_values([self._hypothesis] * len(rows), len(known.joints), self._scales)
         found = iter(simulator.simulate(rows, values))
-        self.stepped += simulator.stepped
+        self.simulated_steps += simulator.simulated_steps
         out = {}
         for (i, s), each in zip(moved.items(), shifted, strict=True):
             base, *others = islice(found, len(each))
             response = [(p.position - base.position).ravel() / _STEP for p in others]
             if np.isfinite(response).all():
                 of_shifts = np.stack(response, axis=1)
-                start = free_initial_state(of_shifts, s, self._noise, self._stretch[i])
+                start = free_initial_state(of_shifts, s, self._noise, self._motor_deviations[i])
                 residual = s.position - base.position
-                misfit = float(np.sum((start.freed(residual) / self._noise) ** 2))
+                misfit = float(np.sum((start.without_initial_error(residual) / self._noise) ** 2))
                 out[i] = _SimulatedStart(start, residual, misfit)
         return out
 
 
-def _shifted(segment: Segment, stretch: FloatArray) -> list[Segment]:
+def _perturbed_segments(segment: Segment, motor_deviations: FloatArray) -> list[Segment]:
     """A segment, and copies with one element of the free initial state changed by a small step."""
-    out, count = [segment], len(stretch)
-    for k in range(free_shifts(segment)):
+    out, count = [segment], len(motor_deviations)
+    for k in range(count_free_states(segment)):
         q, v = segment.initial_position.copy(), segment.initial_velocity.copy()
         (q if k < count else v)[k % count] += _STEP
         out.append(replace(segment, initial_position=q, initial_velocity=v))
-    for j in np.flatnonzero(stretch):
+    for j in np.flatnonzero(motor_deviations):
         motor = np.zeros(count) if segment.motor_shift is None else segment.motor_shift.copy()
         motor[j] += _STEP
         out.append(replace(segment, motor_shift=motor))
     return out
 
 
-def _stretch(simulator: BatchSimulator, hypothesis: Hypothesis, scales: Scales) -> FloatArray:
+def _motor_deviations(
+    simulator: BatchSimulator, hypothesis: Hypothesis, scales: Scales
+) -> FloatArray:
     """(segments, joints) standard deviation of initial motor positions, rad or m.
 
     It is the deflection of an elastic transmission under the RMS effort, if the servo is a velocity
@@ -279,9 +288,9 @@ def free_initial_state(
     """
     weight = np.tile(1.0 / noise**2, len(response) // len(noise))
     motors = np.zeros(len(noise)) if motors is None else motors
-    behind = motors[motors > 0.0]
-    links = response.shape[1] - len(behind)
-    prior = 1.0 / np.concatenate([_start_variance(segment, noise)[:links], behind**2])
+    elastic = motors[motors > 0.0]
+    links = response.shape[1] - len(elastic)
+    prior = 1.0 / np.concatenate([_start_variance(segment, noise)[:links], elastic**2])
     normal = response.T @ (weight[:, None] * response) + np.diag(prior)
     # In a diverging motion all shifts have nearly the same response: use the minimum-norm solution.
     solve = np.linalg.lstsq(normal, response.T * weight, rcond=None)[0].astype(np.float64)

@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.integrator_settings import FRICTION_CONSTRAINT
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors
@@ -28,49 +28,49 @@ from pytest_twin.diagnosis.search_result import (
     residuals_everywhere,
     search,
 )
-from pytest_twin.diagnosis.structure_search.score import Model
+from pytest_twin.diagnosis.structure_search.score import SimulatedModel
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.batch_simulator import BatchSimulator
 
-CREEPS = (
+FRICTION_CREEP_NOTE = (
     "dry friction creeps under load in these recordings, as in MuJoCo's default friction "
     "constraint; with friction that holds at rest the residual is larger"
 )
 
 
-def build_problem_as_friction_acts(
-    given: ModelSetup, trials: TrialSet, notes: list[str]
-) -> tuple[ModelSetup, Prepared, TrialSet]:
+def build_problem_with_better_constraint(
+    setup: ModelSetup, trials: TrialSet, notes: list[str]
+) -> tuple[ModelSetup, PreparedProblem, TrialSet]:
     """The problem, with the friction constraint that explains the recordings better.
 
     The constraints are compared only if the nominal model is nearly right.
 
     Args:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         trials: the recordings.
         notes: receives notes for the reader.
 
     Raises:
         SimulationError: as :func:`~pytest_twin.diagnosis.search_result.build_problem`.
     """
-    prepared, kept = build_problem(given, trials, notes)
+    prepared, kept = build_problem(setup, trials, notes)
     problem = prepared.problem
     if not has_dry_friction(problem, EMPTY):
-        return given, prepared, kept
+        return setup, prepared, kept
     left = residuals_everywhere(problem, EMPTY)
-    if not VERDICT.identifiable < _greatest(problem, left) < VERDICT.left_floors:
-        return given, prepared, kept
+    if not VERDICT.identifiable < _worst_joint_rms(problem, left) < VERDICT.left_floors:
+        return setup, prepared, kept
     other = _residuals_with_other_constraint(problem, EMPTY)
-    if _leaves_less(problem, other, left, FRICTION_CONSTRAINT.left):
-        given = replace(given, has_friction_creep=not given.has_friction_creep)
-        prepared, _ = build_problem(given, kept, [])
-    return given, prepared, kept
+    if _reduces_residual(problem, other, left, FRICTION_CONSTRAINT.left):
+        setup = replace(setup, has_friction_creep=not setup.has_friction_creep)
+        prepared, _ = build_problem(setup, kept, [])
+    return setup, prepared, kept
 
 
-def search_as_friction_acts(
-    given: ModelSetup,
-    prepared: Prepared,
+def search_with_better_constraint(
+    setup: ModelSetup,
+    prepared: PreparedProblem,
     trials: TrialSet,
     run: Run,
     start: Hypothesis,
@@ -81,7 +81,7 @@ def search_as_friction_acts(
     explained, and a search would then add wrong effects at every joint.
 
     Args:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         prepared, trials: its problem, and the trials.
         run: the running diagnosis.
         start: hypothesis from which the search starts.
@@ -90,72 +90,75 @@ def search_as_friction_acts(
         The simulation settings with the better constraint, and the result.
     """
     problem = prepared.problem
-    stepped = replace(given, has_friction_creep=not given.has_friction_creep)
-    other: tuple[Prepared, TrialSet] | None = None
+    changed_setup = replace(setup, has_friction_creep=not setup.has_friction_creep)
+    other: tuple[PreparedProblem, TrialSet] | None = None
 
-    def other_constraint_is_better(best: Model) -> bool:
+    def other_constraint_is_better(best: SimulatedModel) -> bool:
         nonlocal other
         left = np.concatenate([best.residual, best.validation])
-        if not has_dry_friction(problem, EMPTY) or _greatest(problem, left) <= VERDICT.identifiable:
+        if (
+            not has_dry_friction(problem, EMPTY)
+            or _worst_joint_rms(problem, left) <= VERDICT.identifiable
+        ):
             return False
         if other is None:
-            other = build_problem(stepped, trials, [])
+            other = build_problem(changed_setup, trials, [])
             run.budget.add(other[0].problem)
-        rest = residuals_everywhere(other[0].problem, best.hypothesis)
-        return _leaves_less(problem, rest, left, FRICTION_CONSTRAINT.left)
+        residuals = residuals_everywhere(other[0].problem, best.hypothesis)
+        return _reduces_residual(problem, residuals, left, FRICTION_CONSTRAINT.left)
 
-    selection = EffectSelection(problem, run, leave=other_constraint_is_better)
+    selection = EffectSelection(problem, run, should_stop=other_constraint_is_better)
     selected = selection.run(start)
-    if other is None or not selection.has_left:
-        return given, conclude(prepared, trials, run, selected)
+    if other is None or not selection.was_stopped:
+        return setup, conclude(prepared, trials, run, selected)
     # ``kept`` lacks trials on which the model diverges with the other constraint.
     changed, kept = other
     run.begin("whole recordings, other friction constraint", changed.problem)
-    return stepped, search(
+    return changed_setup, search(
         changed, kept, EffectSelection(changed.problem, run), selected.best.hypothesis
     )
 
 
-def refit_as_friction_acts(
-    found: SearchResult, given: ModelSetup, run: Run
+def refit_with_better_constraint(
+    found: SearchResult, setup: ModelSetup, run: Run
 ) -> tuple[ModelSetup, SearchResult]:
     """Fit the findings with the other friction constraint; return the better result.
 
     Args:
-        found: result with the friction constraint of ``given``.
-        given: the model with its simulation settings.
+        found: result with the friction constraint of ``setup``.
+        setup: the model with its simulation settings.
         run: the running diagnosis.
 
     Returns:
         The simulation settings with the better constraint, and the result.
     """
-    before, start = found.prepared.problem, found.explained.hypothesis
+    before, start = found.prepared.problem, found.explanation.hypothesis
     if (
         not has_dry_friction(before, start)
-        or _greatest(before, found.after) <= VERDICT.identifiable
+        or _worst_joint_rms(before, found.after) <= VERDICT.identifiable
     ):
-        return given, found
-    if not _leaves_less(
+        return setup, found
+    if not _reduces_residual(
         before,
         _residuals_with_other_constraint(before, start),
         found.after,
         FRICTION_CONSTRAINT.left_unfitted,
     ):
-        return given, found
-    stepped = replace(given, has_friction_creep=not given.has_friction_creep)
-    prepared, trials = build_problem(stepped, found.trials, [])
+        return setup, found
+    changed_setup = replace(setup, has_friction_creep=not setup.has_friction_creep)
+    prepared, trials = build_problem(changed_setup, found.trials, [])
     run.begin("whole recordings, other friction constraint", prepared.problem)
     selection = EffectSelection(prepared.problem, run)
     comparison = selection.comparison
-    rival = (
+    fitted = (
         comparison.fit_to_convergence(comparison.score_without_fit(start))
         if start.terms
         else comparison.nominal
     )
-    rest = residuals_everywhere(prepared.problem, rival.hypothesis)
-    if not _leaves_less(before, rest, found.after, FRICTION_CONSTRAINT.left):
-        return given, found
-    return stepped, conclude(prepared, trials, run, selection.refine(rival))
+    residuals = residuals_everywhere(prepared.problem, fitted.hypothesis)
+    if not _reduces_residual(before, residuals, found.after, FRICTION_CONSTRAINT.left):
+        return setup, found
+    return changed_setup, conclude(prepared, trials, run, selection.refine(fitted))
 
 
 def has_dry_friction(problem: Problem, hypothesis: Hypothesis) -> bool:
@@ -167,11 +170,11 @@ def has_dry_friction(problem: Problem, hypothesis: Hypothesis) -> bool:
 
 def with_other_constraint(problem: Problem) -> Problem:
     """The same problem with the other friction constraint; its discretization error is kept."""
-    stepped = problem.simulator
-    segments = [replace(s, has_friction_creep=not s.has_friction_creep) for s in stepped.segments]
+    simulator = problem.simulator
+    segments = [replace(s, has_friction_creep=not s.has_friction_creep) for s in simulator.segments]
     other = BatchSimulator(
-        segments, problem.joints, threads=stepped.threads, refine=stepped.refine,
-        fixed=stepped.fixed,
+        segments, problem.joints, threads=simulator.threads, refine=simulator.refine,
+        fixed=simulator.fixed,
     )  # fmt: skip
     return problem.with_simulator(other, None)
 
@@ -179,7 +182,7 @@ def with_other_constraint(problem: Problem) -> Problem:
 def _residuals_with_other_constraint(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     """(samples, signals) residuals with the other friction constraint."""
     other = with_other_constraint(problem.at(hypothesis))
-    return other.residuals([hypothesis], problem.everywhere)[0]
+    return other.residuals([hypothesis], problem.all_segments)[0]
 
 
 def _squares(problem: Problem, left: FloatArray) -> FloatArray:
@@ -187,12 +190,12 @@ def _squares(problem: Problem, left: FloatArray) -> FloatArray:
     return in_noise_floors(left[:, : len(problem.joints)], problem.floor) ** 2
 
 
-def _greatest(problem: Problem, left: FloatArray) -> float:
+def _worst_joint_rms(problem: Problem, left: FloatArray) -> float:
     """RMS position residual of the worst joint, in noise floors."""
     return float(np.sqrt(_squares(problem, left).max()))
 
 
-def _leaves_less(problem: Problem, left: FloatArray, than: FloatArray, share: float) -> bool:
+def _reduces_residual(problem: Problem, left: FloatArray, than: FloatArray, share: float) -> bool:
     """Whether the squared residual above the noise floor is at most ``share`` of that of ``than``.
 
     Both are summed over joints.

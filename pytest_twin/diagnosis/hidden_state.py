@@ -27,8 +27,8 @@ from pytest_twin.trial.setpoint import Setpoint
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(n,) times in s on the trial's clock, and (n, joints) positions and velocities."""
-_PLACED = ("qpos", "qvel")
-_REMEMBERED = ("time", "act", "history")
+_KINEMATIC_FIELDS = ("qpos", "qvel")
+_MEMORY_FIELDS = ("time", "act", "history")
 
 
 class HiddenState:
@@ -38,8 +38,8 @@ class HiddenState:
         model: the model of the trial.
         joints: names of the recorded joints.
         modes: (joints,) kinds of their commands.
-        asked: setpoints on the trial's clock, in the model's coordinates; NaN columns for joints
-            without a command.
+        setpoints: setpoints on the trial's clock, in the model's coordinates; NaN columns for
+            joints without a command.
         motion: measured motion.
 
     Raises:
@@ -51,23 +51,23 @@ class HiddenState:
         model: mujoco.MjModel,
         joints: Sequence[str],
         modes: Sequence[CommandMode],
-        asked: Setpoint,
+        setpoints: Setpoint,
         motion: Motion,
     ) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         self._motion = motion
-        command = asked.value
+        command = setpoints.value
         self._ids = [model.joint(joint).id for joint in joints]
         commanded = [j for j in range(len(joints)) if np.isfinite(command[:, j]).all()]
-        self._remembers = bool(model.na or self._data.history.size)
-        self._place(motion[1][0], np.zeros(len(joints)))
+        self._has_memory = bool(model.na or self._data.history.size)
+        self._reset_to(motion[1][0], np.zeros(len(joints)))
         self._idle = holding_controls(model, self._data, [joints[j] for j in commanded])
         sent = np.tile(self._idle, (len(command), 1))
-        for j in commanded if self._remembers else ():
+        for j in commanded if self._has_memory else ():
             target = command_input(model, joints[j], modes[j])
             if target is not None:
                 sent[:, target.control] = target.scale * command[:, j]
-        self._sent = Setpoint(asked.time, sent, asked.is_linear)
+        self._sent = Setpoint(setpoints.time, sent, setpoints.is_linear)
 
     def at(
         self, starts: Sequence[float], states: Sequence[tuple[FloatArray, FloatArray]]
@@ -78,11 +78,11 @@ class HiddenState:
             starts: start times in s on the trial's clock, ascending.
             states: (joints,) positions and velocities at each start.
         """
-        memories = self._memories(starts) if self._remembers else [{} for _ in starts]
+        memories = self._memories(starts) if self._has_memory else [{} for _ in starts]
         out = []
         for (position, velocity), memory in zip(states, memories, strict=True):
-            self._place(position, velocity)
-            placed = {name: getattr(self._data, name).copy() for name in _PLACED}
+            self._reset_to(position, velocity)
+            placed = {name: getattr(self._data, name).copy() for name in _KINEMATIC_FIELDS}
             out.append(UnrecordedState({**placed, **memory, "ctrl": self._idle}))
         return out
 
@@ -98,14 +98,14 @@ class HiddenState:
             for values in (position, velocity)
         )
         sent = self._sent.at(stamps)
-        self._place(position[0], velocity[0])
+        self._reset_to(position[0], velocity[0])
         data.ctrl[:] = self._sent.value[0]
         settle_under_load(model, data)
         out, since = [], 0
         with suppress_mujoco_warnings():
             for until in steps.tolist():
                 for k in range(since, until):
-                    self._put(q[k], v[k])
+                    self._set_state(q[k], v[k])
                     data.ctrl[:] = sent[k]
                     mujoco.mj_step(model, data)
                 since = until
@@ -113,14 +113,14 @@ class HiddenState:
         return out
 
     def _memory(self) -> dict[str, FloatArray]:
-        kept = {name: np.atleast_1d(getattr(self._data, name)).copy() for name in _REMEMBERED}
+        kept = {name: np.atleast_1d(getattr(self._data, name)).copy() for name in _MEMORY_FIELDS}
         return {name: value for name, value in kept.items() if value.size}
 
-    def _place(self, position: FloatArray, velocity: FloatArray) -> None:
+    def _reset_to(self, position: FloatArray, velocity: FloatArray) -> None:
         mujoco.mj_resetData(self._model, self._data)
-        self._put(position, velocity)
+        self._set_state(position, velocity)
 
-    def _put(self, position: FloatArray, velocity: FloatArray) -> None:
+    def _set_state(self, position: FloatArray, velocity: FloatArray) -> None:
         model, data = self._model, self._data
         data.qpos[model.jnt_qposadr[self._ids]] = position
         data.qvel[model.jnt_dofadr[self._ids]] = velocity

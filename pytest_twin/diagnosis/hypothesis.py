@@ -44,7 +44,7 @@ class Term:
         """
         return is_estimated(self.law, theta)
 
-    def lone(self, theta: FloatArray) -> int | None:
+    def only_estimated_parameter(self, theta: FloatArray) -> int | None:
         """Index of the only estimated parameter of this form; None if there are several."""
         (which,) = np.nonzero(self.is_estimated(theta))
         return int(which[0]) if len(which) == 1 else None
@@ -126,21 +126,21 @@ class Hypothesis:
         """(parameters,) whether each parameter belongs to a term that is not in ``removed``."""
         return np.array([t not in removed for t in self.terms for _ in t.parameters], dtype=bool)
 
-    def absorbed(self, removed: Term, into: Term) -> Hypothesis | None:
+    def with_absorbed(self, removed: Term, into: Term) -> Hypothesis | None:
         """The hypothesis without ``removed``, whose effect ``into`` represents in addition.
 
         Parameters of ``into`` are clipped to their bounds. None if its law cannot represent the
         other effect.
         """
-        own = self._named(into)
-        changed = into.law.with_other(own, removed.effect, self._named(removed))
+        own = self._parameters_by_name(into)
+        changed = into.law.with_other(own, removed.effect, self._parameters_by_name(removed))
         if not changed:
             return None
         theta = self.theta.copy()
         theta[self.slice_of(into)] = [changed.get(name, value) for name, value in own.items()]
         return self.with_theta(np.clip(theta, *self.bounds)).without(removed)
 
-    def _named(self, term: Term) -> dict[str, float]:
+    def _parameters_by_name(self, term: Term) -> dict[str, float]:
         """Parameters of a term by name, in multiples of their scales."""
         values = self.theta[self.slice_of(term)].tolist()
         return dict(zip((p.name for p in term.parameters), values, strict=True))
@@ -151,7 +151,7 @@ class Hypothesis:
         parameters = [p for t in self.terms for p in t.parameters]
         return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
 
-    def at_bound(self, term: Term) -> bool:
+    def is_at_bound(self, term: Term) -> bool:
         """Whether a parameter that switches the effect on is at its physical bound."""
         return any(
             p.neutral is not None and value != p.neutral and not p.lower < value < p.upper
@@ -171,7 +171,7 @@ class Hypothesis:
         )  # fmt: skip
 
     @property
-    def free(self) -> int:
+    def free_count(self) -> int:
         """Number of parameters that a fit estimates."""
         return int(self.is_estimated.sum())
 
@@ -192,7 +192,7 @@ class Hypothesis:
         return sizes
 
     @property
-    def is_rough(self) -> bool:
+    def is_discontinuous(self) -> bool:
         """Whether the motion is discontinuous in some parameter."""
         return any(p.step > SMOOTH_STEP for t in self.terms for p in t.parameters)
 

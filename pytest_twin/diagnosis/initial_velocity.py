@@ -13,7 +13,7 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 
 
-def with_initial_velocity(
+def choose_initial_velocity(
     segments: Sequence[Segment],
     moving: Mapping[int, Segment],
     joints: Sequence[str],
@@ -41,9 +41,9 @@ def with_initial_velocity(
     ]
     simulator = BatchSimulator(tried, joints, threads=threads, fixed=fixed)
     found = simulator.simulate(np.arange(len(tried)), {})
-    alive = noise > 0.0  # a stuck encoder has no noise and gives no information
+    has_noise = noise > 0.0  # a stuck encoder has no noise and gives no information
     misfit = [
-        float(np.sum(((s.position - p.position)[:, alive] / noise[alive]) ** 2))
+        float(np.sum(((s.position - p.position)[:, has_noise] / noise[has_noise]) ** 2))
         for s, p in zip(tried, found, strict=True)
     ]
     for k, (i, other) in enumerate(moving.items()):

@@ -24,8 +24,8 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import (
     NOISE,
     STEP,
-    Prepared,
-    discretization,
+    PreparedProblem,
+    discretization_rms,
 )
 from pytest_twin.diagnosis.prepare_settings import PREPARE
 from pytest_twin.diagnosis.problem import Problem
@@ -42,12 +42,12 @@ SUBSTEPS = (1, 2, 4, 5)
 """Substeps for each step of the model that are compared. With more of them the discretization error
 is below the noise floor."""
 # Smallest noise and travel of a joint, rad or m.
-_LEAST = 1e-9
+_SMALLEST = 1e-9
 
 
-def as_simulated_before(
-    given: ModelSetup, prepared: Prepared, trials: TrialSet, run: Run
-) -> tuple[ModelSetup, Prepared, TrialSet]:
+def adopt_simulation_step(
+    setup: ModelSetup, prepared: PreparedProblem, trials: TrialSet, run: Run
+) -> tuple[ModelSetup, PreparedProblem, TrialSet]:
     """The problem with the substeps of a simulation, if the nominal model then explains all.
 
     If the metadata of all recordings have ``source: simulation``, it is that of a simulation in any
@@ -55,7 +55,7 @@ def as_simulated_before(
     robot``, no simulation is searched for.
 
     Args:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         prepared, trials: the problem for recordings of a robot, and its trials.
         run: the running diagnosis.
 
@@ -64,16 +64,16 @@ def as_simulated_before(
     """
     sources = {t.source for t in (*trials.fit, *trials.held_out)}
     if sources == {"robot"}:
-        return replace(given, is_of_robot=True), prepared, trials
-    substeps = _substeps_of(prepared)
+        return replace(setup, is_of_robot=True), prepared, trials
+    substeps = _substeps_by_nominal_model(prepared)
     if not substeps and sources != {"simulation"}:
-        return given, prepared, trials
+        return setup, prepared, trials
     run.budget.add(prepared.problem)
-    given = replace(given, substeps=substeps or 1)
-    return given, *build_problem(given, trials, [])
+    setup = replace(setup, substeps=substeps or 1)
+    return setup, *build_problem(setup, trials, [])
 
 
-def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | None:
+def detect_integrator(found: SearchResult, setup: ModelSetup) -> ModelSetup | None:
     """Settings of the simulation that may have made the recordings; None if none is detected.
 
     Numbers of substeps, and both friction constraints if there is dry friction, are compared to
@@ -83,61 +83,65 @@ def detect_integrator(found: SearchResult, given: ModelSetup) -> ModelSetup | No
 
     Args:
         found: result with the correction of the discretization error.
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
     """
     problem, best = found.prepared.problem, found.selected.best
     noise = _noise(found.prepared)
-    if given.is_of_robot or any(t.law.is_elastic_transmission for t in best.hypothesis.terms):
+    if setup.is_of_robot or any(t.law.is_elastic_transmission for t in best.hypothesis.terms):
         return None
     if found.verdict == "no_mismatch":
         return None
     problem = problem.at(best.hypothesis)
     if not _is_measured(problem):
         return None
-    if (discretization(problem) < VERDICT.identifiable * noise).all():
+    if (discretization_rms(problem) < VERDICT.identifiable * noise).all():
         return None
     if not _error_stays_small(problem):
         return None
-    span = _Span(problem, best)
-    before = span.left(problem, noise)
-    seen = bool((before > VERDICT.identifiable**2).any())
-    ways = {}
-    for has_friction_creep, stepped in _ways(problem, best.hypothesis, given).items():
+    linearized = _LinearizedFit(problem, best)
+    before = linearized.remaining(problem, noise)
+    is_visible = bool((before > VERDICT.identifiable**2).any())
+    remaining_by_choice = {}
+    for has_friction_creep, simulated in _with_each_constraint(
+        problem, best.hypothesis, setup
+    ).items():
         for k in SUBSTEPS:
-            part = _with_part(stepped, 1.0 - 1.0 / k)
-            above = np.maximum(span.left(part, noise) - 1.0, 0.0).sum()
-            ways[has_friction_creep, k] = float(above)
-    has_friction_creep, substeps = min(ways, key=lambda way: ways[way])
-    most = INTEGRATOR.left_linearized * float(np.maximum(before - 1.0, 0.0).sum())
-    if seen and ways[has_friction_creep, substeps] <= most:
-        return replace(given, has_friction_creep=has_friction_creep, substeps=substeps)
+            corrected = _with_corrected_share(simulated, 1.0 - 1.0 / k)
+            above = np.maximum(linearized.remaining(corrected, noise) - 1.0, 0.0).sum()
+            remaining_by_choice[has_friction_creep, k] = float(above)
+    has_friction_creep, substeps = min(
+        remaining_by_choice, key=lambda choice: remaining_by_choice[choice]
+    )
+    limit = INTEGRATOR.left_linearized * float(np.maximum(before - 1.0, 0.0).sum())
+    if is_visible and remaining_by_choice[has_friction_creep, substeps] <= limit:
+        return replace(setup, has_friction_creep=has_friction_creep, substeps=substeps)
     # A linearization around a wrong effect is not conclusive: the discretization error may still be
     # the cause of the residual.
-    findings = found.explained.findings
-    may_be = findings and integration_errors(problem, found.errors, 1.0)
-    return replace(given, substeps=1) if may_be else None
+    findings = found.explanation.findings
+    is_possible = findings and integration_errors(problem, found.errors, 1.0)
+    return replace(setup, substeps=1) if is_possible else None
 
 
-def explains_more(stepped: SearchResult, found: SearchResult) -> bool:
+def simulation_explains_more(simulation: SearchResult, found: SearchResult) -> bool:
     """Whether a result for recordings of a simulation is better than that for a robot.
 
     It must explain the recordings, have no more effects, and have a far smaller residual.
 
     Args:
-        stepped: result without the correction of the discretization error.
+        simulation: result without the correction of the discretization error.
         found: result with the correction.
     """
-    if stepped.verdict not in ("explained", "no_mismatch"):
+    if simulation.verdict not in ("explained", "no_mismatch"):
         return False
-    of_simulation, of_robot = (s.explained.hypothesis for s in (stepped, found))
+    of_simulation, of_robot = (s.explanation.hypothesis for s in (simulation, found))
     if of_simulation.more_terms(of_robot) > 0:
         # A further effect would explain the recordings as well without an integration error.
         return False
-    less = [e.after / max(found.errors[j].after, 1e-12) for j, e in stepped.errors.items()]
+    less = [e.after / max(found.errors[j].after, 1e-12) for j, e in simulation.errors.items()]
     return max(less) <= 1.0 and min(less) <= INTEGRATOR.left
 
 
-def describe_integrator(prepared: Prepared) -> str:
+def describe_integrator(prepared: PreparedProblem) -> str:
     """A note that the recordings come from a simulation with a certain time step."""
     step = 1e3 * prepared.problem.simulator.timestep
     return (
@@ -146,7 +150,7 @@ def describe_integrator(prepared: Prepared) -> str:
     )
 
 
-def _substeps_of(prepared: Prepared) -> int:
+def _substeps_by_nominal_model(prepared: PreparedProblem) -> int:
     """Number of substeps with which only noise remains under the nominal model.
 
     It is 0 if more than noise remains with every number, or if the correction makes no difference.
@@ -155,15 +159,17 @@ def _substeps_of(prepared: Prepared) -> int:
     if not _is_measured(problem):
         return 0
     before = _squares(problem, EMPTY, noise)
-    left = {k: _squares(_with_part(problem, 1.0 - 1.0 / k), EMPTY, noise) for k in SUBSTEPS}
+    left = {
+        k: _squares(_with_corrected_share(problem, 1.0 - 1.0 / k), EMPTY, noise) for k in SUBSTEPS
+    }
     best = min(left, key=lambda k: float(left[k].max()))
     only_noise = bool((left[best] < VERDICT.identifiable**2).all())
     above = [float(np.maximum(x - 1.0, 0.0).sum()) for x in (left[best], before)]
-    seen = bool((before > VERDICT.identifiable**2).any())
-    return best if only_noise and seen and above[0] <= INTEGRATOR.left * above[1] else 0
+    is_visible = bool((before > VERDICT.identifiable**2).any())
+    return best if only_noise and is_visible and above[0] <= INTEGRATOR.left * above[1] else 0
 
 
-def _noise(prepared: Prepared) -> FloatArray:
+def _noise(prepared: PreparedProblem) -> FloatArray:
     """(joints,) standard deviation against which the discretization error is compared, rad or m.
 
     It is the sensor noise with a small share of the error itself. A joint with a stuck encoder has
@@ -171,7 +177,7 @@ def _noise(prepared: Prepared) -> FloatArray:
     """
     floor, parts = prepared.problem.floor, prepared.floor_parts
     noise = np.hypot(parts[NOISE], PREPARE.step_of_simulation * parts[STEP])
-    known: FloatArray = np.where(floor >= UNSEEN, floor, np.maximum(noise, _LEAST))
+    known: FloatArray = np.where(floor >= UNSEEN, floor, np.maximum(noise, _SMALLEST))
     return known
 
 
@@ -182,7 +188,7 @@ def _error_stays_small(problem: Problem) -> bool:
     """
     travel = np.array([np.ptp(s.position, axis=0) for s in problem.simulator.segments])
     size = INTEGRATOR.first_order_share * np.sqrt(np.mean(travel**2, axis=0))
-    return bool((discretization(problem) <= np.maximum(size, _LEAST)).all())
+    return bool((discretization_rms(problem) <= np.maximum(size, _SMALLEST)).all())
 
 
 def _is_measured(problem: Problem) -> bool:
@@ -191,7 +197,7 @@ def _is_measured(problem: Problem) -> bool:
     return problem.refined is not None and known
 
 
-def _with_part(problem: Problem, share: float) -> Problem:
+def _with_corrected_share(problem: Problem, share: float) -> Problem:
     """The same problem with a correction by only a share of the discretization error."""
     part = {
         i: Predicted(share * e.position, share * e.velocity, share * e.effort)
@@ -200,15 +206,17 @@ def _with_part(problem: Problem, share: float) -> Problem:
     return replace(problem, refined=None, discretization_error=part)
 
 
-def _ways(problem: Problem, hypothesis: Hypothesis, given: ModelSetup) -> dict[bool, Problem]:
+def _with_each_constraint(
+    problem: Problem, hypothesis: Hypothesis, setup: ModelSetup
+) -> dict[bool, Problem]:
     """Whether joints creep under dry friction -> the problem with that friction constraint.
 
     Without dry friction there is only one.
     """
-    ways = {given.has_friction_creep: problem}
+    by_constraint = {setup.has_friction_creep: problem}
     if has_dry_friction(problem, hypothesis):
-        ways[not given.has_friction_creep] = with_other_constraint(problem)
-    return ways
+        by_constraint[not setup.has_friction_creep] = with_other_constraint(problem)
+    return by_constraint
 
 
 def _squares(problem: Problem, hypothesis: Hypothesis, noise: FloatArray) -> FloatArray:
@@ -217,7 +225,7 @@ def _squares(problem: Problem, hypothesis: Hypothesis, noise: FloatArray) -> Flo
     return in_noise_floors(left[:, : len(noise)], noise) ** 2
 
 
-class _Span:
+class _LinearizedFit:
     """Sensitivities around a fit: to its parameters, and to nearly linear effects that it lacks."""
 
     def __init__(self, problem: Problem, best: ScoredModel) -> None:
@@ -238,7 +246,7 @@ class _Span:
         signals = (len(self.bins.counts), len(problem.signal_floor), 0)
         self.columns = np.concatenate([np.zeros(signals), *columns], axis=2)
 
-    def left(self, problem: Problem, noise: FloatArray) -> FloatArray:
+    def remaining(self, problem: Problem, noise: FloatArray) -> FloatArray:
         """(joints,) mean squared position residuals after a linear fit, in noise variances.
 
         Residuals are means over bins.

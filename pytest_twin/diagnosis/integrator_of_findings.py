@@ -17,6 +17,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
+from pytest_twin.diagnosis.integrator_detection import SUBSTEPS
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
@@ -30,63 +31,61 @@ from pytest_twin.diagnosis.search_result import (
 )
 from pytest_twin.diagnosis.trials import TrialSet
 
-SUBSTEPS = (1, 2, 4, 5)
-"""Substeps for each step of the model that are compared."""
+# Index of the previous step among the neighbouring steps of an effort.
 _EARLIER = 1
-"""Index of the previous step among the neighbouring steps of an effort."""
 
 
-def with_detected_timestep(
-    found: SearchResult, given: ModelSetup, run: Run
+def refit_with_detected_timestep(
+    found: SearchResult, setup: ModelSetup, run: Run
 ) -> tuple[ModelSetup, SearchResult] | None:
     """The findings without the correction of the integration error, if all recordings agree better.
 
     Args:
         found: result with the correction of the integration error.
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         run: the running diagnosis.
 
     Returns:
         Settings with the detected substeps, and the result; None if no simulation is detected.
     """
-    prepared, start = found.prepared, found.explained.hypothesis
+    prepared, start = found.prepared, found.explanation.hypothesis
     problem = prepared.problem
     positions = all(
         s.mode == "position" and not s.starts_in_motion for s in problem.simulator.segments
     )
-    known = given.substeps or given.is_of_robot
+    known = setup.substeps or setup.is_of_robot
     if known or not start.terms or not positions or found.verdict != "explained":
         return None
     robot = residuals_everywhere(problem, start)[:, : len(problem.joints)]
     noise = prepared.floor_parts[NOISE]
-    substeps = _likeliest(found, robot, noise)
+    substeps = _likeliest_substeps(found, robot, noise)
     if not substeps:
         return None
-    stepped = replace(given, substeps=substeps)
+    changed_setup = replace(setup, substeps=substeps)
     for trials in _with_and_without_efforts(found.trials):
-        there, used = build_problem(stepped, trials, [], window=prepared.window)
-        selection = EffectSelection(there.problem, run)
+        simulated, used = build_problem(changed_setup, trials, [], window=prepared.window)
+        selection = EffectSelection(simulated.problem, run)
         comparison = selection.comparison
-        rival = comparison.fit_to_convergence(comparison.score_without_fit(start))
-        left = residuals_everywhere(there.problem, rival.hypothesis)[:, : len(problem.joints)]
+        fitted = comparison.fit_to_convergence(comparison.score_without_fit(start))
+        left = residuals_everywhere(simulated.problem, fitted.hypothesis)[:, : len(problem.joints)]
         if left.shape != robot.shape:
             continue
         known = trials is not found.trials and _has_forces_of_the_step(
-            problem, start, there.problem, rival.hypothesis
+            problem, start, simulated.problem, fitted.hypothesis
         )
         # If the efforts show a simulation, the positions must only not contradict it.
-        ratio = _log_likelihood_ratios(there.problem, left, robot)
-        told = (
+        ratio = _log_likelihood_ratios(simulated.problem, left, robot)
+        is_simulation = (
             min(ratio) > -INTEGRATOR.least_evidence and sum(ratio) > 0.0
             if known
             else _is_shown_by_positions(ratio)
         )
-        if not told or not _is_noise_alone(left, noise):
+        if not is_simulation or not _is_noise_alone(left, noise):
             continue
-        other = conclude(there, used, run, selection.refine(rival))
-        fewer = set(other.explained.hypothesis.terms) <= set(start.terms)
+        other = conclude(simulated, used, run, selection.refine(fitted))
+        fewer = set(other.explanation.hypothesis.terms) <= set(start.terms)
         if fewer and other.verdict == "explained":
-            return stepped, other
+            return changed_setup, other
     return None
 
 
@@ -105,20 +104,20 @@ def _with_and_without_efforts(trials: TrialSet) -> list[TrialSet]:
     return ways
 
 
-def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int:
+def _likeliest_substeps(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int:
     """Number of substeps with the largest likelihood; 0 if the correction explains more.
 
     The parameters of the findings are refitted to first order.
     """
     fitted = found.pruned.fitted
-    problem = found.prepared.problem.at(found.explained.hypothesis)
+    problem = found.prepared.problem.at(found.explanation.hypothesis)
     rows = problem.fit
     if (
         len(problem.discretization_error) < len(problem.simulator.segments)
         or not fitted.jacobian.size
     ):
         return 0
-    inside = np.repeat(np.isin(problem.everywhere, rows), problem.lengths(problem.everywhere))
+    inside = np.repeat(np.isin(problem.all_segments, rows), problem.lengths(problem.all_segments))
     joints = len(problem.joints)
     slopes = fitted.jacobian[:, :joints]
     error = np.concatenate([problem.discretization_error[int(s)].position for s in rows])
@@ -141,7 +140,7 @@ def _likeliest(found: SearchResult, robot: FloatArray, noise: FloatArray) -> int
 
 
 def _has_forces_of_the_step(
-    robot: Problem, found: Hypothesis, stepped: Problem, refitted: Hypothesis
+    robot: Problem, found: Hypothesis, simulation: Problem, refitted: Hypothesis
 ) -> bool:
     """Whether the logged efforts of every recording are those of the previous simulation step.
 
@@ -150,12 +149,12 @@ def _has_forces_of_the_step(
 
     Args:
         robot, found: the problem with the correction of the integration error, and its findings.
-        stepped, refitted: the problem without it, and the findings fitted to it.
+        simulation, refitted: the problem without it, and the findings fitted to it.
     """
 
     def deviations(problem: Problem, hypothesis: Hypothesis) -> list[FloatArray]:
         """(steps, joints) RMS deviations: at the stamp, a step earlier, a step later."""
-        rows = problem.everywhere
+        rows = problem.all_segments
         values = effect_values([hypothesis] * len(rows), len(problem.joints), problem.scales)
         predicted = problem.simulator.efforts_at_neighbouring_steps(rows, values)
         return [
@@ -165,7 +164,7 @@ def _has_forces_of_the_step(
 
     if any(s.effort is None for s in robot.simulator.segments):
         return False
-    ways = zip(deviations(stepped, refitted), deviations(robot, found), strict=True)
+    ways = zip(deviations(simulation, refitted), deviations(robot, found), strict=True)
     return all((a[_EARLIER] < INTEGRATOR.effort_closer * b.min(axis=0)).all() for a, b in ways)
 
 
@@ -184,7 +183,7 @@ def _is_shown_by_positions(ratio: Sequence[float]) -> bool:
 def _log_likelihood_ratios(problem: Problem, left: FloatArray, robot: FloatArray) -> list[float]:
     """Log-likelihood ratio of simulation to robot by recording; minus infinity if it diverges."""
     owner = [s.trial for s in problem.simulator.segments]
-    ends = np.cumsum([0, *problem.lengths(problem.everywhere)])
+    ends = np.cumsum([0, *problem.lengths(problem.all_segments)])
     ratio = []
     for trial in dict.fromkeys(owner):
         of_trial = [i for i, o in enumerate(owner) if o == trial]

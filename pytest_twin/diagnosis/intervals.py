@@ -11,7 +11,7 @@ from scipy.special import chdtri, stdtrit
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import effective_samples
-from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.fit import FittedModel
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.interval_settings import INTERVALS
 from pytest_twin.diagnosis.problem import Problem
@@ -19,7 +19,7 @@ from pytest_twin.effects.base import SMOOTH_STEP
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.metrics.joint_covariance import upper_covariance, with_deviations
 
-Near = tuple[float, Mapping[Term, FloatArray]]
+NearbyModel = tuple[float, Mapping[Term, FloatArray]]
 """A structure that explains nearly as much: its odds, and for each shared term the difference of
 its parameters to those of the best structure, in multiples of their scales."""
 
@@ -28,7 +28,7 @@ _LEVEL = 0.975
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class ParameterUncertainty:
     """Uncertainty of the parameters of a fit.
 
     Attributes:
@@ -36,17 +36,18 @@ class Spread:
         correlation: (parameters, parameters) correlation matrix.
         covariance: (parameters, parameters) covariance matrix of the scaled parameters.
         quantile: quantile of Student's t distribution that the half widths contain.
-        joint: (parameters, parameters) covariance matrix with half widths of 1.96 deviations, which
-            is in no direction narrower than the estimates that these are the widest of.
+        conservative_covariance: (parameters, parameters) covariance matrix with half widths of
+            1.96 deviations, which is in no direction narrower than the estimates that these are
+            the widest of.
     """
 
     half_width: FloatArray
     correlation: FloatArray
     covariance: FloatArray
     quantile: float
-    joint: FloatArray
+    conservative_covariance: FloatArray
 
-    def apart(self, which: NDArray[np.int64], offset: FloatArray) -> float:
+    def normalized_distance(self, which: NDArray[np.int64], offset: FloatArray) -> float:
         """Normalized distance of a point from the fit: 1 on the border of the joint 95 % region.
 
         It uses the correlations of the parameters (Wald test).
@@ -62,10 +63,14 @@ class Spread:
         return float(np.sqrt(square * one / together))
 
 
-def parameter_spread(
-    problem: Problem, fitted: Fitted, near: Sequence[Near] = (), *, in_parts: bool = True
-) -> Spread:
-    """Intervals from the curvature at the optimum, from recordings and from rival structures.
+def parameter_uncertainty(
+    problem: Problem,
+    fitted: FittedModel,
+    nearby: Sequence[NearbyModel] = (),
+    *,
+    in_parts: bool = True,
+) -> ParameterUncertainty:
+    """Intervals from the curvature at the optimum, from recordings and from other structures.
 
     Residuals are correlated in time, and every model is inexact. The widest of three estimates is
     used: the sandwich covariance of the scores with a Bartlett kernel (Newey, West, Econometrica
@@ -80,14 +85,14 @@ def parameter_spread(
     Args:
         problem: the problem.
         fitted: the fit, with its Jacobian.
-        near: structures that explain nearly as much.
+        nearby: structures that explain nearly as much.
         in_parts: whether fewer than three recordings are cut into parts for the jackknife. It is
             not valid for a fit that has not converged, which differs between parts.
     """
     count = fitted.hypothesis.theta.size
     if not count:
         none = np.zeros((0, 0))
-        return Spread(np.zeros(0), none, none, 0.0, none)
+        return ParameterUncertainty(np.zeros(0), none, none, 0.0, none)
     residual, floor = fitted.residual, problem.signal_floor
     mean_square = np.maximum(np.mean(residual**2, axis=0), floor**2)
     weight = 1.0 / mean_square
@@ -95,22 +100,22 @@ def parameter_spread(
     effective = np.maximum(effective_samples(residual, lengths), 2.0)
     jac = fitted.jacobian
     curvature = np.einsum("tsp,s,tsq->pq", jac, weight, jac)
-    inverse = _inverse(curvature)
+    inverse = _scaled_inverse(curvature)
     enlarged = np.einsum("tsp,s,tsq->pq", jac, weight * len(residual) / effective, jac)
     scores = np.einsum("tsp,ts->tp", jac, residual * weight)
     ranges = 2.0 * len(residual) / effective
-    meat = _long_run(scores, lengths, int(np.ceil(ranges.max())))
-    wide = inverse @ enlarged @ inverse
+    meat = _long_run_covariance(scores, lengths, int(np.ceil(ranges.max())))
+    enlarged_covariance = inverse @ enlarged @ inverse
     sandwich = inverse @ meat @ inverse
-    deviation = np.sqrt(np.maximum(np.diag(wide), np.diag(sandwich)).clip(0.0))
-    base = np.sqrt(np.diag(wide).clip(1e-300))
-    correlation = wide / np.outer(base, base)
-    freedom = max(float(effective.max()) * 1.0 - count, 2.0)
+    deviation = np.sqrt(np.maximum(np.diag(enlarged_covariance), np.diag(sandwich)).clip(0.0))
+    base = np.sqrt(np.diag(enlarged_covariance).clip(1e-300))
+    correlation = enlarged_covariance / np.outer(base, base)
+    freedom = max(float(effective.max()) - count, 2.0)
     quantile = float(stdtrit(freedom, _LEVEL))
-    shift = np.abs(inverse @ _discretization_pull(problem, jac, weight))
+    shift = np.abs(inverse @ _discretization_gradient(problem, jac, weight))
     owner = clusters([problem.simulator.segments[s].trial for s in problem.fit], lengths)
-    information = _by_cluster(jac, weight, owner)
-    left_out = jackknife(_sums(scores, owner), information)
+    information = _cluster_information(jac, weight, owner)
+    left_out = jackknife(_score_sums(scores, owner), information)
     if (
         not in_parts
         and len({problem.simulator.segments[s].trial for s in problem.fit})
@@ -118,14 +123,16 @@ def parameter_spread(
     ):
         left_out = np.zeros_like(left_out)
     half = np.maximum(quantile * deviation, np.sqrt(np.diag(left_out)))
-    together = upper_covariance(quantile**2 * upper_covariance(wide, sandwich), left_out)
-    half = np.hypot(half, quantile * _between_structures(fitted.hypothesis, near))
+    together = upper_covariance(
+        quantile**2 * upper_covariance(enlarged_covariance, sandwich), left_out
+    )
+    half = np.hypot(half, quantile * _between_structures(fitted.hypothesis, nearby))
     for i, p in enumerate(p for t in fitted.hypothesis.terms for p in t.parameters):
         if p.step > SMOOTH_STEP:
             shift[i] = max(shift[i], p.step)
     not_estimated = ~fitted.hypothesis.is_estimated
     half[not_estimated] = shift[not_estimated] = 0.0
-    return Spread(
+    return ParameterUncertainty(
         half + shift,
         correlation,
         correlation * np.outer(deviation, deviation),
@@ -188,22 +195,24 @@ def clusters(trials: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]
     return out
 
 
-def _sums(scores: FloatArray, owner: NDArray[np.int64]) -> FloatArray:
+def _score_sums(scores: FloatArray, owner: NDArray[np.int64]) -> FloatArray:
     """(clusters, parameters) sums of (samples, parameters) scores."""
     return np.array([scores[owner == k].sum(axis=0) for k in range(int(owner.max()) + 1)])
 
 
-def _by_cluster(jacobian: FloatArray, weight: FloatArray, owner: NDArray[np.int64]) -> FloatArray:
+def _cluster_information(
+    jacobian: FloatArray, weight: FloatArray, owner: NDArray[np.int64]
+) -> FloatArray:
     """(clusters, parameters, parameters) curvature of each cluster."""
     parts = [jacobian[owner == k] for k in range(int(owner.max()) + 1)]
     return np.array([np.einsum("tsp,s,tsq->pq", part, weight, part) for part in parts])
 
 
-def _between_structures(hypothesis: Hypothesis, near: Sequence[Near]) -> FloatArray:
+def _between_structures(hypothesis: Hypothesis, nearby: Sequence[NearbyModel]) -> FloatArray:
     """(parameters,) standard deviation between structures, weighted by their posterior shares."""
-    whole = 1.0 + sum(odds for odds, _ in near)
+    whole = 1.0 + sum(odds for odds, _ in nearby)
     variance = np.zeros(hypothesis.theta.size)
-    for odds, moved in near:
+    for odds, moved in nearby:
         for term, offset in moved.items():
             if term in hypothesis.terms:
                 variance[hypothesis.slice_of(term)] += odds / whole * offset**2
@@ -211,7 +220,7 @@ def _between_structures(hypothesis: Hypothesis, near: Sequence[Near]) -> FloatAr
     return deviation
 
 
-def _inverse(curvature: FloatArray) -> FloatArray:
+def _scaled_inverse(curvature: FloatArray) -> FloatArray:
     """Inverse, computed with a unit diagonal for good conditioning."""
     size = np.sqrt(np.diag(curvature))
     # A parameter without influence gets a large finite variance.
@@ -222,7 +231,7 @@ def _inverse(curvature: FloatArray) -> FloatArray:
     return inverse
 
 
-def _long_run(scores: FloatArray, lengths: list[int], reach: int) -> FloatArray:
+def _long_run_covariance(scores: FloatArray, lengths: list[int], reach: int) -> FloatArray:
     """Long-run covariance of the sum of scores with a Bartlett kernel; segments are independent."""
     total = np.zeros((scores.shape[1], scores.shape[1]))
     at = 0
@@ -242,7 +251,9 @@ def _long_run(scores: FloatArray, lengths: list[int], reach: int) -> FloatArray:
     return 0.5 * (total + total.T)
 
 
-def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatArray) -> FloatArray:
+def _discretization_gradient(
+    problem: Problem, jacobian: FloatArray, weight: FloatArray
+) -> FloatArray:
     """(parameters,) gradient of the cost by the discretization error that may remain."""
     parts = []
     for s in problem.fit:
@@ -255,7 +266,7 @@ def _discretization_pull(problem: Problem, jacobian: FloatArray, weight: FloatAr
         if problem.effort_floor is not None and segment.effort is not None:
             columns.append(problem.weigh_efforts(int(s), add.effort))
         parts.append(np.concatenate(columns, axis=1))
-    step_error = problem.weighed(np.nan_to_num(np.concatenate(parts)), problem.fit)
+    step_error = problem.weigh_positions(np.nan_to_num(np.concatenate(parts)), problem.fit)
     change = problem.step_left * step_error
     pull: FloatArray = np.einsum("tsp,ts->p", jacobian, change * weight)
     return pull

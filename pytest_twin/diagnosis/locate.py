@@ -18,9 +18,9 @@ from scipy.ndimage import uniform_filter1d
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis import temperature
 from pytest_twin.diagnosis.locate_settings import LOCATE
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives
+from pytest_twin.diagnosis.smoothing import SMOOTHING_WIDTH, derivatives
 from pytest_twin.diagnosis.windows import runs
 from pytest_twin.effects.contact_geoms import is_near_surface, with_distant_contacts
 from pytest_twin.effects.segment import Segment
@@ -66,16 +66,16 @@ class Motion:
     conditions: Mapping[str, str] = field(default_factory=dict)
 
 
-def motions(prepared: Prepared, trials: Sequence[Trial]) -> list[Motion]:
+def smooth_motions(prepared: PreparedProblem, trials: Sequence[Trial]) -> list[Motion]:
     """Smoothed motion of every segment, in the problem's order."""
     problem = prepared.problem
     return [
-        _motion(problem, segment, trials[owner])
+        _smooth_motion(problem, segment, trials[owner])
         for segment, owner in zip(problem.simulator.segments, prepared.segment_trial, strict=True)
     ]
 
 
-def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
+def _smooth_motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
     q, v, a = derivatives(segment.time, segment.position)
     simulator, model = problem.simulator, segment.model
     contact = simulator.models.contact
@@ -83,7 +83,7 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
         model = with_distant_contacts(model, contact.world, LOCATE.touching)
     data = mujoco.MjData(model)
     load = np.empty_like(q)
-    # At most 600 samples: the load varies no faster than the motion.
+    # Fewer than 1200 samples: the load varies no faster than the motion.
     at = np.arange(0, len(q), max(1, len(q) // 600))
     rows = np.empty((len(at), q.shape[1]))
     close = np.zeros(len(at))
@@ -108,13 +108,13 @@ def _motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
     )  # fmt: skip
 
 
-def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
-    """The fewest time intervals of a recording that contain 80 % of the error ``blame``."""
-    total = float(blame.sum())
+def error_windows(time: FloatArray, squared_error: FloatArray) -> list[list[float]]:
+    """The fewest time intervals of a recording that contain 80 % of ``squared_error``."""
+    total = float(squared_error.sum())
     if total <= 0.0 or len(time) < 3:
         return []
     interval = float(np.median(np.diff(time)))
-    smooth = uniform_filter1d(blame, max(int(LOCATE.window / max(interval, 1e-6)), 1))
+    smooth = uniform_filter1d(squared_error, max(int(LOCATE.window / max(interval, 1e-6)), 1))
     order = np.argsort(-smooth, kind="stable")
     reached = np.searchsorted(np.cumsum(smooth[order]), LOCATE.cover * smooth.sum()) + 1
     chosen = np.zeros(len(time), dtype=bool)
@@ -126,52 +126,56 @@ def blame_windows(time: FloatArray, blame: FloatArray) -> list[list[float]]:
             found[-1][1] = stop
         else:
             found.append([start, stop])
-    weight = [float(blame[(time >= a) & (time <= b)].sum()) for a, b in found]
+    weight = [float(squared_error[(time >= a) & (time <= b)].sum()) for a, b in found]
     best = sorted(range(len(found)), key=lambda i: -weight[i])[: LOCATE.most_windows]
     return [[round(found[i][0], 3), round(found[i][1], 3)] for i in sorted(best)]
 
 
-def place_of(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> TimeAndRegime:
-    """When and in which regime of a joint the error ``blame`` occurs.
+def locate_error(
+    motions: Sequence[Motion], squared_error: FloatArray, joint: int, unit: str
+) -> TimeAndRegime:
+    """When and in which regime of a joint a squared error occurs.
 
     Args:
-        paths: motion of the segments.
-        blame: (samples over all segments,) squared error, not negative.
+        motions: motion of the segments.
+        squared_error: (samples over all segments,) squared error, not negative.
         joint, unit: column of the joint and its unit, rad or m.
     """
     recordings: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
     at = 0
-    for m in paths:
-        recordings.setdefault(m.name, []).append((m.time, blame[at : at + len(m.time)]))
+    for m in motions:
+        recordings.setdefault(m.name, []).append((m.time, squared_error[at : at + len(m.time)]))
         at += len(m.time)
-    total = max(float(blame.sum()), 1e-300)
+    total = max(float(squared_error.sum()), 1e-300)
     kept = {}
     for name, parts in recordings.items():
         # Windows of one recording are evaluated together.
         time, mine = (np.concatenate(x) for x in zip(*parts, strict=True))
         order = np.argsort(time, kind="stable")
-        found = blame_windows(time[order], mine[order])
+        found = error_windows(time[order], mine[order])
         if found and float(mine.sum()) / total > 0.25 / len(recordings):
             kept[name] = found
-    return TimeAndRegime(regime(paths, blame, joint, unit), kept)
+    return TimeAndRegime(describe_regime(motions, squared_error, joint, unit), kept)
 
 
-def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) -> str:
+def describe_regime(
+    motions: Sequence[Motion], squared_error: FloatArray, joint: int, unit: str
+) -> str:
     """The regime that contains more of the error than of the time, in words with units."""
-    total = float(blame.sum())
+    total = float(squared_error.sum())
     if total <= 0.0:
         return "no particular regime"
     best, words = 0.0, "throughout the motion"
-    slices = [(1.0, text, inside) for text, inside in regimes(paths, joint, unit)]
-    position = np.concatenate([m.position[:, joint] for m in paths])
-    low, high = _span(position, blame)
+    slices = [(1.0, text, inside) for text, inside in list_regimes(motions, joint, unit)]
+    position = np.concatenate([m.position[:, joint] for m in motions])
+    low, high = _interval_with_error(position, squared_error)
     inside = (position >= low) & (position <= high)
     slices.append((LOCATE.searched, f"position {low:.2g} to {high:.2g} {unit}", inside))
     for weight, text, inside in slices:
         time = float(inside.mean())
         if not 0.02 < time < 0.8:
             continue
-        held = float(blame[inside].sum()) / total
+        held = float(squared_error[inside].sum()) / total
         score = weight * held * np.log(max(held / time, 1e-9))
         if held >= LOCATE.share and held / time >= LOCATE.lift and score > best:
             best = score
@@ -179,19 +183,19 @@ def regime(paths: Sequence[Motion], blame: FloatArray, joint: int, unit: str) ->
     return words
 
 
-def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | None:
+def describe_frequency_band(motions: Sequence[Motion], left: FloatArray, joint: int) -> str | None:
     """The frequency band that contains more of a joint's residual than of its motion, in words.
 
     Args:
-        paths: motion of the segments.
+        motions: motion of the segments.
         left: (samples over all segments,) residual, rad or m.
         joint: column of the joint.
     """
-    interval = float(np.median(np.concatenate([np.diff(m.time) for m in paths])))
-    longest = max(float(m.time[-1] - m.time[0]) for m in paths)
+    interval = float(np.median(np.concatenate([np.diff(m.time) for m in motions])))
+    longest = max(float(m.time[-1] - m.time[0]) for m in motions)
     size = 2 ** int(np.ceil(np.log2(min(longest, LOCATE.spectrum) / interval + 1.0)))
     power, at = np.zeros((2, size // 2 + 1)), 0
-    for m in paths:
+    for m in motions:
         grid = np.arange(m.time[0], m.time[-1], interval)
         mine, at = left[at : at + len(m.time)], at + len(m.time)
         if len(grid) < LOCATE.fewest_samples:
@@ -221,11 +225,13 @@ def frequencies(paths: Sequence[Motion], left: FloatArray, joint: int) -> str | 
     )
 
 
-def _span(values: FloatArray, blame: FloatArray) -> tuple[float, float]:
+def _interval_with_error(values: FloatArray, squared_error: FloatArray) -> tuple[float, float]:
     """The interval of values with the largest share of the error for its share of the time."""
     edges = np.quantile(values, np.linspace(0.0, 1.0, LOCATE.edges))
     order = np.argsort(values, kind="stable")
-    summed = np.concatenate([[0.0], np.cumsum(blame[order])]) / max(float(blame.sum()), 1e-300)
+    summed = np.concatenate([[0.0], np.cumsum(squared_error[order])]) / max(
+        float(squared_error.sum()), 1e-300
+    )
     at = np.searchsorted(values[order], edges)
     held = summed[at][None, :] - summed[at][:, None]
     time = np.maximum((at[None, :] - at[:, None]) / len(values), 1e-9)
@@ -234,7 +240,9 @@ def _span(values: FloatArray, blame: FloatArray) -> tuple[float, float]:
     return float(edges[min(first, last)]), float(edges[max(first, last)])
 
 
-def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, NDArray[np.bool_]]]:
+def list_regimes(
+    motions: Sequence[Motion], joint: int, unit: str
+) -> list[tuple[str, NDArray[np.bool_]]]:
     """(words, mask over all samples) of each regime of the motion.
 
     Regimes are ranges of speed, direction, acceleration, position, load and time, reversals,
@@ -242,13 +250,13 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
     """
 
     def column(name: str) -> FloatArray:
-        return np.concatenate([getattr(m, name)[:, joint] for m in paths])
+        return np.concatenate([getattr(m, name)[:, joint] for m in motions])
 
     q, v, a, load = (column(n) for n in ("position", "velocity", "acceleration", "load"))
     rate = column("command_rate")
-    reversal = np.concatenate([_near_reversal(m, joint) for m in paths])
-    since = np.concatenate([m.time for m in paths])
-    end = np.concatenate([np.full(len(m.time), m.time[-1]) for m in paths])
+    reversal = np.concatenate([_near_reversal(m, joint) for m in motions])
+    since = np.concatenate([m.time for m in motions])
+    end = np.concatenate([np.full(len(m.time), m.time[-1]) for m in motions])
     speed, push = np.abs(v), np.abs(a)
     slow, fast = (float(x) for x in np.quantile(speed, (0.3, 0.75)))
     hard = float(np.quantile(push, 0.75))
@@ -277,25 +285,25 @@ def regimes(paths: Sequence[Motion], joint: int, unit: str) -> list[tuple[str, N
         ("the first third of the recording", since < end / 3),
         ("the last third of the recording", since > 2 * end / 3),
     ]
-    if all(m.touching is not None for m in paths):
-        at_surface = np.concatenate([m.touching for m in paths if m.touching is not None])
+    if all(m.touching is not None for m in motions):
+        at_surface = np.concatenate([m.touching for m in motions if m.touching is not None])
         words = f"in contact or within {1e3 * LOCATE.touching:.0f} mm of a surface"
         found += [(words, at_surface), ("without contact", ~at_surface)]
-    return found + _conditions(paths)
+    return found + _metadata_regimes(motions)
 
 
-def _conditions(paths: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
+def _metadata_regimes(motions: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
     """Regimes by metadata values, where few values differ between the recordings."""
-    recordings = {m.name: m.conditions for m in paths}
+    recordings = {m.name: m.conditions for m in motions}
     found = []
     for key in sorted({k for c in recordings.values() for k in c}):
-        given = [c.get(key) for c in recordings.values()]
-        values = {v for v in given if v is not None}
-        if len(set(given)) < 2:
+        recorded = [c.get(key) for c in recordings.values()]
+        values = {v for v in recorded if v is not None}
+        if len(set(recorded)) < 2:
             continue
         for words, among in _groups(key, values):
             mask = np.concatenate(
-                [np.full(len(m.time), m.conditions.get(key) in among) for m in paths]
+                [np.full(len(m.time), m.conditions.get(key) in among) for m in motions]
             )
             found.append((f"{key} {words}", mask))
     return found
@@ -303,10 +311,12 @@ def _conditions(paths: Sequence[Motion]) -> list[tuple[str, NDArray[np.bool_]]]:
 
 def _groups(key: str, values: Collection[str]) -> list[tuple[str, Collection[str]]]:
     """(words, values) of each regime of a metadata key: each value, or two temperature halves."""
-    words = _shortened(values)
+    words = _shorten(values)
     if len(values) <= LOCATE.most_values:
         return [(words[v], (v,)) for v in sorted(values)]
-    measured = temperature.degrees(values) if key == temperature.KEY else None
+    measured = (
+        temperature.parse_temperatures(values) if key == temperature.TEMPERATURE_KEY else None
+    )
     if measured is None:
         return []
     order = sorted(values, key=lambda v: measured[v])
@@ -314,7 +324,7 @@ def _groups(key: str, values: Collection[str]) -> list[tuple[str, Collection[str
     return [(f"up to {words[cold[-1]]}", cold), (f"from {words[warm[0]]}", warm)]
 
 
-def _shortened(values: Collection[str]) -> dict[str, str]:
+def _shorten(values: Collection[str]) -> dict[str, str]:
     """Metadata value -> its text, numbers rounded to four digits where they stay different."""
     short = {v: _four_digits(v) for v in values}
     return short if len({*short.values()}) == len(short) else {v: v for v in values}
@@ -362,7 +372,9 @@ class MissingForce:
         return strength
 
 
-def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> MissingForce:
+def compute_missing_force(
+    problem: Problem, residual: FloatArray, noise: FloatArray
+) -> MissingForce:
     """The generalized force that would remove position residuals.
 
     Small deviations r of the simulated motion obey M(q) r'' + D r' + K r = f. D and K are damping
@@ -385,7 +397,7 @@ def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> 
         model = segment.model
         data = mujoco.MjData(model)
         mass = np.zeros((model.nv, model.nv))
-        damping, stiffness = _linear(problem, model)
+        damping, stiffness = _damping_and_stiffness(problem, model)
         dof = simulator.layout.dof_index
         force = np.empty_like(r0)
         step = max(1, n // 60)
@@ -398,7 +410,7 @@ def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> 
             block = slice(k, min(k + step, n))
             force[block] = r2[block] @ inertia.T + r1[block] * damping + r0[block] * stiffness
         forces.append(force)
-        half = max(round(0.5 * SMOOTH / usual), 3)
+        half = max(round(0.5 * SMOOTHING_WIDTH / usual), 3)
         basis = np.vander(np.arange(-half, half + 1) / half, 4, increasing=True)
         w = np.linalg.pinv(basis)
         gain = [np.linalg.norm(w[o]) * f / (half * usual) ** o for o, f in ((0, 1), (1, 1), (2, 2))]
@@ -410,7 +422,9 @@ def missing_force(problem: Problem, residual: FloatArray, noise: FloatArray) -> 
     return MissingForce(np.concatenate(forces), np.sqrt(np.maximum(np.mean(noises, axis=0), 1e-30)))
 
 
-def _linear(problem: Problem, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
+def _damping_and_stiffness(
+    problem: Problem, model: mujoco.MjModel
+) -> tuple[FloatArray, FloatArray]:
     """(joints,) damping and stiffness of drives and passive elements."""
     simulator = problem.simulator
     damping = model.dof_damping[simulator.layout.dof_index].copy()

@@ -7,9 +7,14 @@ from dataclasses import dataclass, field
 
 from pytest_twin.diagnosis.hypothesis import Scales
 from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
 from pytest_twin.diagnosis.patched.replay import fixed_values
-from pytest_twin.diagnosis.prepare import Prepared, SimulationSettings, prepare, shared_joints
+from pytest_twin.diagnosis.prepare import (
+    PreparedProblem,
+    SimulationSettings,
+    prepare,
+    shared_joints,
+)
 from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.realization import Realization
@@ -44,7 +49,7 @@ class ModelSetup:
 
     @classmethod
     def of(
-        cls, realization: Realization, inherited: Patched | None, threads: int = 0
+        cls, realization: Realization, inherited: PatchedModel | None, threads: int = 0
     ) -> ModelSetup:
         """The setup of a model, nominal or patched by an earlier diagnosis.
 
@@ -66,14 +71,14 @@ class ModelSetup:
             threads=threads,
         )
 
-    def prepared(
+    def prepare(
         self,
         fit: Sequence[Trial],
         held_out: Sequence[Trial],
         window: float | None = None,
         contact: ContactGeoms | None = None,
         scales: Scales | None = None,
-    ) -> Prepared:
+    ) -> PreparedProblem:
         """The problem of explaining ``fit`` and predicting ``held_out``.
 
         Arguments and errors are those of :func:`~pytest_twin.diagnosis.prepare.prepare`.
@@ -82,7 +87,7 @@ class ModelSetup:
         return prepare(
             self.realization, fit, held_out,
             threads=self.threads, window=window, contact=contact,
-            simulated=SimulationSettings(
+            settings=SimulationSettings(
                 self.cold_fractions, fixed_values(self.outside_mjcf, joints, 1),
                 self.has_friction_creep, self.substeps, scales,
             ),

@@ -29,13 +29,13 @@ def sensor_noise(time: FloatArray, position: FloatArray) -> FloatArray:
         time: (n,) s.
         position: (n, joints) rad or m.
     """
-    step = np.array([_quantum(position[:, j]) for j in range(position.shape[1])])
+    step = np.array([_quantization_step(position[:, j]) for j in range(position.shape[1])])
     third = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
     # The median of quantized values is uncertain by half a quantization step.
     spread = 1.4826 * (third + 0.5 * step) / np.sqrt(20.0)
     if len(position) >= 2 * NOISE_ESTIMATE.neighbours:
-        spread = np.minimum(spread, _off_cubics(time, position))
-        spread = np.minimum(spread, _off_seventh_degree(time, position))
+        spread = np.minimum(spread, _deviation_from_cubics(time, position))
+        spread = np.minimum(spread, _deviation_from_seventh_degree(time, position))
     noise: FloatArray = np.maximum(spread, step / np.sqrt(12.0))
     return noise
 
@@ -53,7 +53,7 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
     """
     if len(time) < NOISE_ESTIMATE.speed_groups * NOISE_ESTIMATE.neighbours:
         return 0.0
-    square, speed = _cubics(time, position)
+    square, speed = _fit_cubics(time, position)
     median = _median_square(NOISE_ESTIMATE.neighbours - _CUBIC)
     jitter = []
     for s, v in zip(square.T, speed.T, strict=True):
@@ -70,16 +70,16 @@ def timing_jitter(time: FloatArray, position: FloatArray) -> float:
     return float(np.median(jitter)) if jitter else 0.0
 
 
-def _off_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
+def _deviation_from_cubics(time: FloatArray, position: FloatArray) -> FloatArray:
     """(joints,) standard deviation of samples from local cubics."""
-    square, _ = _cubics(time, position)
+    square, _ = _fit_cubics(time, position)
     spread: FloatArray = np.sqrt(np.median(square, axis=0) / (NOISE_ESTIMATE.neighbours - _CUBIC))
     return spread
 
 
-def _off_seventh_degree(time: FloatArray, position: FloatArray) -> FloatArray:
+def _deviation_from_seventh_degree(time: FloatArray, position: FloatArray) -> FloatArray:
     """(joints,) standard deviation of samples from local polynomials of degree seven."""
-    square, _ = _polynomials(
+    square, _ = _fit_polynomials(
         time, position, NOISE_ESTIMATE.few_neighbours, _SEVENTH, NOISE_ESTIMATE.apart
     )
     spread: FloatArray = np.sqrt(
@@ -93,15 +93,15 @@ def _median_square(freedom: int) -> float:
     return float(freedom * (1.0 - 2.0 / (9.0 * freedom)) ** 3)
 
 
-def _cubics(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit_cubics(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Sums of squared deviations from local cubics, and velocities, (windows, joints) each."""
-    return _polynomials(
+    return _fit_polynomials(
         time, position, NOISE_ESTIMATE.neighbours, _CUBIC, NOISE_ESTIMATE.neighbours
     )
 
 
-def _polynomials(
-    time: FloatArray, position: FloatArray, neighbours: int, coefficients: int, apart: int
+def _fit_polynomials(
+    time: FloatArray, position: FloatArray, neighbours: int, coefficients: int, stride: int
 ) -> tuple[FloatArray, FloatArray]:
     """Sums of squared deviations from local polynomials, and velocities, (windows, joints) each.
 
@@ -110,9 +110,9 @@ def _polynomials(
         position: (n, joints) rad or m.
         neighbours: number of samples in a window.
         coefficients: number of coefficients of the polynomial.
-        apart: distance between the beginnings of windows, in samples.
+        stride: distance between the beginnings of windows, in samples.
     """
-    first = np.arange(0, len(time) - neighbours + 1, apart)
+    first = np.arange(0, len(time) - neighbours + 1, stride)
     inside = first[:, None] + np.arange(neighbours)
     windows = time[inside]
     middle = 0.5 * (windows[:, :1] + windows[:, -1:])
@@ -126,7 +126,7 @@ def _polynomials(
     return square, np.linalg.solve(triangle, projected)[:, 1] / half
 
 
-def _quantum(values: FloatArray) -> float:
+def _quantization_step(values: FloatArray) -> float:
     """The quantization step of a signal; 0 if it is not quantized."""
     levels = np.unique(values)
     if len(levels) < 3:
@@ -139,7 +139,7 @@ def _quantum(values: FloatArray) -> float:
     return smallest if np.abs(multiples - np.round(multiples)).mean() < 0.02 else 0.0
 
 
-def greatest_noise(
+def largest_noise(
     segments: Sequence[Segment], values: Sequence[FloatArray], owner: Sequence[int]
 ) -> FloatArray:
     """(joints,) noise in the noisiest trial.
@@ -149,8 +149,8 @@ def greatest_noise(
         values: (samples, joints) of each segment.
         owner: index of the trial of each segment.
     """
-    greatest: FloatArray = np.max(_by_trial(segments, values, owner), axis=0)
-    return greatest
+    largest: FloatArray = np.max(_by_trial(segments, values, owner), axis=0)
+    return largest
 
 
 def _by_trial(
@@ -168,17 +168,17 @@ def _by_trial(
 def timing_noise(segments: Sequence[Segment], owner: Sequence[int]) -> FloatArray:
     """(joints,) RMS position error from the jitter of the stamps in the worst trial, rad or m.
 
-    :func:`sensor_noise` contains it. Arguments are as in :func:`greatest_noise`.
+    :func:`sensor_noise` contains it. Arguments are as in :func:`largest_noise`.
     """
     each = []
     for trial in sorted(set(owner)):
         of_trial = [segments[i] for i, o in enumerate(owner) if o == trial]
         time = np.concatenate([s.time for s in of_trial])
         position = np.concatenate([s.position for s in of_trial])
-        usual = np.zeros(position.shape[1])
+        rms_speed = np.zeros(position.shape[1])
         if len(time) >= 2 * NOISE_ESTIMATE.neighbours:
-            usual = np.sqrt(np.mean(_cubics(time, position)[1] ** 2, axis=0))
-        each.append(timing_jitter(time, position) * usual)
+            rms_speed = np.sqrt(np.mean(_fit_cubics(time, position)[1] ** 2, axis=0))
+        each.append(timing_jitter(time, position) * rms_speed)
     worst: FloatArray = np.max(each, axis=0)
     return worst
 
@@ -200,11 +200,11 @@ def effort_noise(
     efforts = [s.effort for s in segments if s.effort is not None]
     errors = [e - p.effort for e, p in zip(efforts, nominal, strict=True)]
     each = np.minimum(_by_trial(segments, efforts, owner), _by_trial(segments, errors, owner))
-    usual: FloatArray = np.median(each, axis=0)
-    return usual
+    median: FloatArray = np.median(each, axis=0)
+    return median
 
 
-def finest_effort(segments: Sequence[Segment]) -> FloatArray:
+def effort_resolution(segments: Sequence[Segment]) -> FloatArray:
     """(joints,) smallest plausible standard deviation of measured efforts, N*m or N.
 
     It is the resolution of a sensor for the largest measured effort. It matters for recordings of a
@@ -213,11 +213,13 @@ def finest_effort(segments: Sequence[Segment]) -> FloatArray:
     largest = np.max(
         [np.abs(s.effort).max(axis=0) for s in segments if s.effort is not None], axis=0
     )
-    finest: FloatArray = NOISE_ESTIMATE.finest_effort * largest
-    return finest
+    resolution: FloatArray = NOISE_ESTIMATE.finest_effort * largest
+    return resolution
 
 
-def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int]) -> FloatArray:
+def effort_noise_of_quiet_samples(
+    problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int]
+) -> FloatArray:
     """(joints,) standard deviation of efforts, from samples with little discretization error.
 
     Jumps of the measured effort are proportional to those of the model. The noise is estimated from
@@ -247,5 +249,5 @@ def quiet_noise(problem: Problem, nominal: Sequence[Predicted], owner: Sequence[
             a = a - b * (a @ b) / max(float(b @ b), 1e-30)
             found[j] = 1.4826 * float(np.median(np.abs(a))) / np.sqrt(20.0)
         each.append(found)
-    usual: FloatArray = np.median(each, axis=0)
-    return usual
+    median: FloatArray = np.median(each, axis=0)
+    return median

@@ -118,7 +118,7 @@ def _quantity(term: Term, k: int, parameter: Parameter) -> str | None:
     return None
 
 
-def impossible(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
+def impossible_effects(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
     """Effects with a negative correction of an impossible total, and the reason of each."""
     out: dict[Term, str] = {}
     for total in totals(problem, hypothesis):
@@ -134,7 +134,7 @@ def impossible(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
     return out
 
 
-def at_zero(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
+def without_negative_totals(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     """(parameters,) of a hypothesis, with negative totals set to zero.
 
     The largest negative correction of the total is changed.

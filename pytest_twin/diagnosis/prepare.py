@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.free_initial_state import FreeInitialStates, free_initial_states
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
-from pytest_twin.diagnosis.initial_velocity import with_initial_velocity
+from pytest_twin.diagnosis.initial_velocity import choose_initial_velocity
 from pytest_twin.diagnosis.noise import (
     effort_noise,
-    finest_effort,
-    greatest_noise,
-    quiet_noise,
+    effort_noise_of_quiet_samples,
+    effort_resolution,
+    largest_noise,
     timing_noise,
 )
 from pytest_twin.diagnosis.prepare_settings import PREPARE
@@ -26,7 +26,7 @@ from pytest_twin.diagnosis.problem import (
     REFINE,
     Problem,
     joint_scales,
-    nominal_replay,
+    replay_nominal,
     step_errors,
 )
 from pytest_twin.diagnosis.stiction_weights import stiction_weights
@@ -51,7 +51,7 @@ _EDGE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class PreparedProblem:
     """A problem, with the trials and settings from which it was built.
 
     Attributes:
@@ -71,7 +71,7 @@ class Prepared:
     substeps: int = 0
     window: float | None = None
 
-    def with_lower_floor(self, hypothesis: Hypothesis) -> Prepared | None:
+    def with_lower_floor(self, hypothesis: Hypothesis) -> PreparedProblem | None:
         """The same problem with the noise floor that the discretization error at a hypothesis has.
 
         The nominal model may diverge from the recordings (for example without a drive's
@@ -86,9 +86,9 @@ class Prepared:
         if len(problem.discretization_error) < len(problem.simulator.segments):
             return None
         noise = self.floor_parts[NOISE]
-        steps = discretization(problem)
-        floor = _floor(noise, problem, steps)
-        before = _floor(noise, problem, self.floor_parts[STEP])
+        steps = discretization_rms(problem)
+        floor = _noise_floor(noise, problem, steps)
+        before = _noise_floor(noise, problem, self.floor_parts[STEP])
         # A joint with a stuck encoder has a floor that is not the sum of its parts; it is kept.
         lower = (floor < PREPARE.far_lower * before) & np.isclose(problem.floor, before)
         if not lower.any():
@@ -122,7 +122,7 @@ class SimulationSettings:
     scales: Scales | None = None
 
 
-_AS_MODELLED = SimulationSettings()
+_DEFAULT_SETTINGS = SimulationSettings()
 
 
 def prepare(
@@ -133,8 +133,8 @@ def prepare(
     threads: int = 0,
     window: float | None = None,
     contact: ContactGeoms | None = None,
-    simulated: SimulationSettings = _AS_MODELLED,
-) -> Prepared:
+    settings: SimulationSettings = _DEFAULT_SETTINGS,
+) -> PreparedProblem:
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
     Args:
@@ -144,7 +144,7 @@ def prepare(
         window: length in s of the windows that motions are cut into. It is halved if the
             discretization error is too large. None: only motions under effort commands are cut.
         contact: surfaces from which all windows keep a distance; None for no restriction.
-        simulated: settings of the simulation.
+        settings: settings of the simulation.
 
     Raises:
         RecordingError: model and recordings share no joint, or no motion to fit keeps the distance
@@ -153,10 +153,12 @@ def prepare(
     """
     trials = [*fit, *held_out]
     joints = shared_joints(realization, trials)
-    fixed, substeps = simulated.fixed, simulated.substeps
-    cold_fractions = simulated.cold_fractions or cold_fractions_of(trials)
+    fixed, substeps = settings.fixed, settings.substeps
+    cold_fractions = settings.cold_fractions or cold_fractions_of(trials)
     cutting = Cutting(window, commanded=True, contact=contact)
-    cut = _cut(realization, trials, joints, cutting, cold_fractions, simulated.has_friction_creep)
+    cut = _cut_trials(
+        realization, trials, joints, cutting, cold_fractions, settings.has_friction_creep
+    )
     owner = cut.owner
     is_fit = np.array(owner) < len(fit)
     if not is_fit.any():
@@ -165,53 +167,53 @@ def prepare(
             path=trials[0].path,
             expected=f"motion at least {CONTACT_DISTANCE:g} m away from all surfaces",
         )
-    shown = greatest_noise(cut.segments, [s.position for s in cut.segments], owner)
-    segments = with_initial_velocity(
-        cut.segments, cut.moving, joints, shown, threads=threads, fixed=fixed
+    recorded_noise = largest_noise(cut.segments, [s.position for s in cut.segments], owner)
+    segments = choose_initial_velocity(
+        cut.segments, cut.moving, joints, recorded_noise, threads=threads, fixed=fixed
     )
-    noise = _known(shown)
+    noise = _replace_zero_noise(recorded_noise)
     simulator = BatchSimulator(segments, joints, threads=threads, refine=substeps or 1, fixed=fixed)
     finer = (substeps or 1) * REFINE
     refined = BatchSimulator(segments, joints, threads=threads, refine=finer, fixed=fixed)
-    nominal = nominal_replay(simulator)
+    nominal = replay_nominal(simulator)
     effort_floor: FloatArray | None = None
     if _has_signed_efforts(segments, nominal):
         effort_floor = effort_noise(segments, nominal, owner)
-    scales = simulated.scales or joint_scales(simulator, nominal)
-    discretization_error = step_errors(nominal, nominal_replay(refined))
+    scales = settings.scales or joint_scales(simulator, nominal)
+    discretization_error = step_errors(nominal, replay_nominal(refined))
     allowed = np.maximum(PREPARE.wild * noise, PREPARE.wild_share * scales.of["position"])
     changed = _rms([add.position for add in discretization_error.values()], len(joints))
-    if window in (None, WINDOW) and _is_too_wild(segments, changed, allowed):
+    if window in (None, WINDOW) and _needs_shorter_windows(segments, changed, allowed):
         return prepare(
             realization, fit, held_out,
             threads=threads, window=0.5 * WINDOW, contact=contact,
-            simulated=replace(simulated, cold_fractions=cold_fractions, scales=scales),
+            settings=replace(settings, cold_fractions=cold_fractions, scales=scales),
         )  # fmt: skip
-    free: Callable[[Hypothesis], FreeInitialStates] | None = None
+    find_starts: Callable[[Hypothesis], FreeInitialStates] | None = None
     if any(s.starts_in_motion or s.mode != "position" for s in segments):
-        free = partial(
+        find_starts = partial(
             free_initial_states, segments, joints, noise, threads, scales=scales, fixed=fixed
         )
     problem = Problem(
         simulator, np.flatnonzero(is_fit), np.flatnonzero(~is_fit), noise, scales, effort_floor,
-        refined=None if substeps else refined, free=free, start_noise=noise,
+        refined=None if substeps else refined, find_starts=find_starts, start_noise=noise,
         step_left=_step_left(simulator, substeps),
     ).at_nominal({} if substeps else discretization_error)  # fmt: skip
     for _ in range(PREPARE.passes if segments[0].mode == "effort" else 1):
         # The weights depend on the noise floor, and the floor on the weights: alternate.
-        steps = changed if substeps else discretization(problem)
-        problem = replace(problem, floor=_floor(noise, problem, steps))
+        steps = changed if substeps else discretization_rms(problem)
+        problem = replace(problem, floor=_noise_floor(noise, problem, steps))
         if segments[0].mode == "effort":
             problem = replace(problem, position_weights=stiction_weights(problem))
     if effort_floor is not None:
-        problem = _with_weighed_efforts(problem, nominal, owner, effort_floor)
+        problem = _with_efforts(problem, nominal, owner, effort_floor)
     parts = {
         NOISE: noise,
         # With rare fast motion, the mean square of the timing noise can exceed the typical noise.
         "of it, sample timing": np.minimum(timing_noise(segments, owner), noise),
         STEP: steps,
     }
-    return Prepared(problem, tuple(owner), parts, cold_fractions, substeps, window)
+    return PreparedProblem(problem, tuple(owner), parts, cold_fractions, substeps, window)
 
 
 def _step_left(simulator: BatchSimulator, substeps: int) -> float:
@@ -226,7 +228,7 @@ def _step_left(simulator: BatchSimulator, substeps: int) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class _Cut:
+class _CutTrials:
     """Trials cut into segments.
 
     Attributes:
@@ -241,16 +243,16 @@ class _Cut:
     moving: dict[int, Segment]
 
 
-def _cut(
+def _cut_trials(
     realization: Realization,
     trials: Sequence[Trial],
     joints: Sequence[str],
     cutting: Cutting,
     cold_fractions: ColdFractions,
     has_friction_creep: bool,
-) -> _Cut:
+) -> _CutTrials:
     """Segments of all trials; those without velocities also with an estimated initial velocity."""
-    cut = _Cut([], [], {})
+    cut = _CutTrials([], [], {})
     for i, trial in enumerate(trials):
         cold = cold_fraction_of_trial(cold_fractions, trial)
         made = segments_of(
@@ -281,19 +283,21 @@ def _cut(
     return cut
 
 
-def _with_weighed_efforts(
+def _with_efforts(
     problem: Problem, nominal: Sequence[Predicted], owner: Sequence[int], effort_floor: FloatArray
 ) -> Problem:
     """The problem with efforts, weighted by sensor noise and the uncertainty of the prediction."""
     segments = problem.simulator.segments
     if segments[0].mode == "effort":
         # The drive delivers the commanded effort; its time is uncertain by one sample.
-        jumps = [_steepest(p.effort) for p in nominal]
+        jumps = [_largest_neighbour_difference(p.effort) for p in nominal]
     else:
         if problem.discretization_error:
-            effort_floor = np.minimum(effort_floor, quiet_noise(problem, nominal, owner))
-        jumps = _jumps(problem, nominal)
-    sensor_noise = np.maximum(effort_floor, finest_effort(segments))
+            effort_floor = np.minimum(
+                effort_floor, effort_noise_of_quiet_samples(problem, nominal, owner)
+            )
+        jumps = _effort_uncertainties(problem, nominal)
+    sensor_noise = np.maximum(effort_floor, effort_resolution(segments))
     return _with_effort_weights(problem, sensor_noise, jumps)
 
 
@@ -313,23 +317,25 @@ def _has_signed_efforts(segments: Sequence[Segment], nominal: Sequence[Predicted
     return lowest < 0.0 or not modelled < 0.0
 
 
-def _known(noise: FloatArray) -> FloatArray:
+def _replace_zero_noise(noise: FloatArray) -> FloatArray:
     """(joints,) noise; joints with zero noise, which hardly move, have the largest of the others.
 
     If all are zero, the precision of single-precision numbers is used.
     """
     usual = float(noise.max()) or float(np.finfo(np.float32).eps)
-    known: FloatArray = np.where(noise > 0.0, noise, usual)
-    return known
+    replaced: FloatArray = np.where(noise > 0.0, noise, usual)
+    return replaced
 
 
-def _is_too_wild(segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray) -> bool:
+def _needs_shorter_windows(
+    segments: Sequence[Segment], steps: FloatArray, allowed: FloatArray
+) -> bool:
     """Whether the discretization error requires shorter windows, and half of one is long enough."""
     enough = float(np.median([len(s.time) for s in segments])) >= 2 * PREPARE.fewest_samples
     return all(s.starts_in_motion for s in segments) and enough and bool((steps > allowed).any())
 
 
-def discretization(problem: Problem) -> FloatArray:
+def discretization_rms(problem: Problem) -> FloatArray:
     """(joints,) RMS discretization error of the model's step, rad or m.
 
     Under effort commands it is weighted like the residuals, and the part that free initial states
@@ -340,7 +346,7 @@ def discretization(problem: Problem) -> FloatArray:
         change = add.position
         if problem.simulator.segments[i].mode == "effort":
             start = problem.starts.get(i)
-            change = change if start is None else start.freed(change)
+            change = change if start is None else start.without_initial_error(change)
             change = change * problem.position_weights.get(i, 1.0)
         changes.append(change)
     return _rms(changes, len(problem.joints))
@@ -354,7 +360,7 @@ def _rms(changes: Sequence[FloatArray], joints: int) -> FloatArray:
     return found
 
 
-def _floor(noise: FloatArray, problem: Problem, steps: FloatArray) -> FloatArray:
+def _noise_floor(noise: FloatArray, problem: Problem, steps: FloatArray) -> FloatArray:
     """(joints,) noise floor from sensor noise and the remaining discretization error."""
     floor: FloatArray = np.hypot(noise, problem.step_left * steps)
     return floor
@@ -398,21 +404,21 @@ def _with_effort_weights(
     return replace(problem, effort_floor=noise, effort_weights=weights)
 
 
-def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
+def _effort_uncertainties(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
     """For each segment, (samples, joints) uncertainty of the predicted effort, N*m or N.
 
     A servo's effort jumps with each command, and the stamps do not show whether the sensor was read
     one step before or after the jump. The discretization error is a second contribution.
     """
     simulator, out = problem.simulator, list[FloatArray]()
-    around = [_commanded_anew(s, simulator.timestep, 1) for s in simulator.segments]
+    around = [_has_new_command(s, simulator.timestep, 1) for s in simulator.segments]
     rows = np.array([i for i, near in enumerate(around) if near.any()], dtype=np.int64)
     values = effect_values([EMPTY] * len(rows), len(problem.joints), problem.scales)
     found = simulator.efforts_at_neighbouring_steps(rows, values) if len(rows) else []
     shifted = dict(zip(rows.tolist(), found, strict=True))
     for i, segment in enumerate(simulator.segments):
-        within = _commanded_anew(segment, simulator.timestep, 0)
-        jump: FloatArray = within * _steepest(nominal[i].effort)
+        within = _has_new_command(segment, simulator.timestep, 0)
+        jump: FloatArray = within * _largest_neighbour_difference(nominal[i].effort)
         if i in shifted:
             effort, earlier, later = shifted[i]
             change = np.maximum(np.abs(earlier - effort), np.abs(later - effort))
@@ -422,7 +428,7 @@ def _jumps(problem: Problem, nominal: Sequence[Predicted]) -> list[FloatArray]:
     return out
 
 
-def _commanded_anew(segment: Segment, step: float, around: int) -> NDArray[np.bool_]:
+def _has_new_command(segment: Segment, step: float, around: int) -> NDArray[np.bool_]:
     """(samples, joints) whether a command changes close to a sample.
 
     Close means within the model step of the sample, or at most ``around`` steps from it. Within
@@ -444,13 +450,13 @@ def _commanded_anew(segment: Segment, step: float, around: int) -> NDArray[np.bo
         np.searchsorted(segment.command_time, first + part * step, side="right")
         for part in (_EDGE - around, 1.0 - _EDGE + around)
     )
-    anew: NDArray[np.bool_] = changes[late] > changes[early]
-    return anew
+    is_new: NDArray[np.bool_] = changes[late] > changes[early]
+    return is_new
 
 
-def _steepest(effort: FloatArray) -> FloatArray:
+def _largest_neighbour_difference(effort: FloatArray) -> FloatArray:
     """(samples, joints) largest absolute difference to a neighbouring sample."""
     change = np.abs(np.diff(effort, axis=0))
     none = np.zeros((1, effort.shape[1]))
-    steepest: FloatArray = np.maximum(np.vstack([none, change]), np.vstack([change, none]))
-    return steepest
+    largest: FloatArray = np.maximum(np.vstack([none, change]), np.vstack([change, none]))
+    return largest

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import check
+from pytest_twin.diagnosis.deadline import check_deadline
 from pytest_twin.diagnosis.free_initial_state import FreeInitialState, FreeInitialStates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.prepare_settings import PREPARE
@@ -51,7 +51,7 @@ def step_errors(coarse: Sequence[Predicted], fine: Sequence[Predicted]) -> dict[
     return {i: add for i, add in enumerate(errors) if np.isfinite(add.position).all()}
 
 
-def corrected(coarse: Predicted, error: Predicted, share: float = 1.0) -> Predicted:
+def add_step_error(coarse: Predicted, error: Predicted, share: float = 1.0) -> Predicted:
     """A prediction plus ``share`` (0 to 1) of its discretization error."""
     return Predicted(
         coarse.position + share * error.position,
@@ -79,12 +79,12 @@ class ProblemMemory:
 
     Attributes:
         corrections: hypothesis -> its corrections, the latest last.
-        kept: last result of :meth:`Problem.kept`, with all that it depends on.
+        cached: last result of :meth:`Problem.cached`, with all that it depends on.
         steps_for_initial_states: number of simulated steps that free initial states have cost.
     """
 
     corrections: dict[_Key, _Corrections] = field(default_factory=dict)
-    kept: tuple[tuple[object, ...], Any] | None = None
+    cached: tuple[tuple[object, ...], Any] | None = None
     steps_for_initial_states: int = 0
 
 
@@ -116,7 +116,7 @@ class Problem:
         family: only effects of this family are candidates; None for all.
         starts: segment -> free initial state of the same hypothesis, if an error of the initial
             state would grow.
-        free: computes ``starts`` for a hypothesis; None if all initial states are fixed.
+        find_starts: computes ``starts`` for a hypothesis; None if all initial states are fixed.
         start_noise: (joints,) RMS noise of a position sample, rad or m; it gives the prior of the
             initial states.
         memory: what was computed for this problem and for its copies with other corrections.
@@ -133,7 +133,7 @@ class Problem:
     refined: BatchSimulator | None = None
     discretization_error: Mapping[int, Predicted] = field(default_factory=dict)
     starts: Mapping[int, FreeInitialState] = field(default_factory=dict)
-    free: Callable[[Hypothesis], FreeInitialStates] | None = None
+    find_starts: Callable[[Hypothesis], FreeInitialStates] | None = None
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
     step_left: float = PREPARE.step_left
     family: str | None = None
@@ -145,25 +145,25 @@ class Problem:
         return self.simulator.joints
 
     @property
-    def stepped(self) -> int:
+    def simulated_steps(self) -> int:
         """Simulated steps so far, those from the cache included."""
-        return sum(simulator.stepped for simulator in self._simulators)
+        return sum(simulator.simulated_steps for simulator in self._simulators)
 
     @property
-    def once(self) -> int:
+    def steps_per_simulation(self) -> int:
         """Number of steps in one simulation of all segments."""
         return int(self.simulator.steps.sum())
 
     @property
-    def repeated(self) -> int:
-        """Steps of :attr:`stepped` that came from the cache."""
-        return sum(simulator.repeated for simulator in self._simulators)
+    def cached_steps(self) -> int:
+        """Steps of :attr:`simulated_steps` that came from the cache."""
+        return sum(simulator.cached_steps for simulator in self._simulators)
 
     @property
     def _simulators(self) -> list[BatchSimulator]:
         return [s for s in (self.simulator, self.refined) if s is not None]
 
-    def acted_on(self, terms: Sequence[Term]) -> NDArray[np.bool_]:
+    def is_acted_on_by(self, terms: Sequence[Term]) -> NDArray[np.bool_]:
         """(signals,) whether a term acts on the signal's joint; all if one acts on the robot."""
         joints = [t.joint for t in terms]
         at = np.isin(np.arange(len(self.joints)), joints) | (-1 in joints)
@@ -205,20 +205,20 @@ class Problem:
         Raises:
             OutOfTime: the time of the search is over.
         """
-        check()
+        check_deadline()
         out: list[list[Predicted]] = [[] for _ in hypotheses]
-        for simulator, rough, share in (
+        for simulator, discontinuous, share in (
             (self.simulator, False, 1.0),
             (self.refined or self.simulator, True, 1.0 / REFINE if self.refined else 1.0),
         ):
-            which = [i for i, h in enumerate(hypotheses) if h.is_rough is rough]
+            which = [i for i, h in enumerate(hypotheses) if h.is_discontinuous is discontinuous]
             if not which:
                 continue
             rows = np.tile(segments, len(which))
             each = [hypotheses[i] for i in which for _ in segments]
             values = effect_values(each, len(self.joints), self.scales)
             flat = [
-                self._corrected(int(row), p, share)
+                self._add_step_error(int(row), p, share)
                 for row, p in zip(rows, simulator.simulate(rows, values), strict=True)
             ]
             n = len(segments)
@@ -238,9 +238,13 @@ class Problem:
         """
         values = effect_values([hypothesis] * len(segments), len(self.joints), self.scales)
         q, v, read = self.simulator.trajectories_with_readings(segments, values)
-        if hypothesis.is_rough:
+        if hypothesis.is_discontinuous:
             return q, v, self.predict([hypothesis], segments)[0]
-        return q, v, [self._corrected(int(s), p, 1.0) for s, p in zip(segments, read, strict=True)]
+        return (
+            q,
+            v,
+            [self._add_step_error(int(s), p, 1.0) for s, p in zip(segments, read, strict=True)],
+        )
 
     def count_trajectories(self, hypothesis: Hypothesis, segments: NDArray[np.int64]) -> None:
         """Count the steps of :meth:`trajectories_with_readings`, whose result is known.
@@ -248,10 +252,10 @@ class Problem:
         Limits of simulations then do not depend on what is kept.
         """
         self.simulator.count(segments)
-        if hypothesis.is_rough:
+        if hypothesis.is_discontinuous:
             (self.refined or self.simulator).count(segments, repeated=True)
 
-    def kept(
+    def cached(
         self, hypothesis: Hypothesis, segments: NDArray[np.int64], make: Callable[[], T]
     ) -> tuple[T, bool]:
         """What ``make`` returns for a hypothesis, and whether it is kept from the last call.
@@ -261,28 +265,28 @@ class Problem:
         state: tuple[object, ...] = (
             *self.simulator.segments, self.simulator, self.refined, self.scales,
             self.position_weights, self.effort_weights, self.discretization_error, self.starts,
-            self.free,
+            self.find_starts,
         )  # fmt: skip
         noise = self.floor, self.start_noise, self.effort_floor
         values = hypothesis.terms, *(
             None if x is None else x.tobytes() for x in (hypothesis.theta, segments, *noise)
         )  # fmt: skip
-        if self.memory.kept is not None:
-            (known_values, *known), result = self.memory.kept
+        if self.memory.cached is not None:
+            (known_values, *known), result = self.memory.cached
             same = len(known) == len(state) and all(map(operator.is_, known, state))
             if known_values == values and same:
                 return result, True
         made = make()
-        self.memory.kept = (values, *state), made
+        self.memory.cached = (values, *state), made
         return made, False
 
-    def _corrected(self, segment: int, p: Predicted, share: float) -> Predicted:
+    def _add_step_error(self, segment: int, p: Predicted, share: float) -> Predicted:
         error = self.discretization_error.get(segment)
-        return p if error is None else corrected(p, error, share)
+        return p if error is None else add_step_error(p, error, share)
 
     def at_nominal(self, discretization_error: Mapping[int, Predicted]) -> Problem:
         """As :meth:`at` the nominal model, with a discretization error that is already measured."""
-        free = self._freed(EMPTY)
+        free = self._free_states(EMPTY)
         if not free.motor_shifts:
             self.memory.corrections[_key(EMPTY)] = _Corrections(
                 self.simulator, self.refined, discretization_error, free.free
@@ -297,7 +301,7 @@ class Problem:
         """
         key, known = _key(hypothesis), self.memory.corrections
         if key not in known:
-            check()
+            check_deadline()
             if len(known) >= _CACHED_HYPOTHESES:
                 known.pop(next(iter(known)))
             known[key] = self._corrections_of(hypothesis)
@@ -312,29 +316,31 @@ class Problem:
         return replace(self, simulator=simulator, refined=refined, memory=ProblemMemory())
 
     def _corrections_of(self, hypothesis: Hypothesis) -> _Corrections:
-        free = self._freed(hypothesis)
+        free = self._free_states(hypothesis)
         simulator = self.simulator.with_motor_shifts(free.motor_shifts)
         if self.refined is None:
             return _Corrections(simulator, None, {}, free.free)
         refined = self.refined.with_motor_shifts(free.motor_shifts)
-        rows = self.everywhere
+        rows = self.all_segments
         values = effect_values([hypothesis] * len(rows), len(self.joints), self.scales)
         coarse, fine = (s.simulate(rows, values) for s in (simulator, refined))
         return _Corrections(simulator, refined, step_errors(coarse, fine), free.free)
 
-    def _freed(self, hypothesis: Hypothesis) -> FreeInitialStates:
+    def _free_states(self, hypothesis: Hypothesis) -> FreeInitialStates:
         """Compute the free initial states of a hypothesis."""
-        if self.free is None:
+        if self.find_starts is None:
             return FreeInitialStates(dict(self.starts), {})
-        free = self.free(hypothesis)
-        self.memory.steps_for_initial_states += free.stepped
+        free = self.find_starts(hypothesis)
+        self.memory.steps_for_initial_states += free.simulated_steps
         return free
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
     ) -> list[FloatArray]:
         """Weighted residuals (measured minus predicted) of each hypothesis, (samples, signals)."""
-        return [self.weighed(errors, segments) for errors in self.errors(hypotheses, segments)]
+        return [
+            self.weigh_positions(errors, segments) for errors in self.errors(hypotheses, segments)
+        ]
 
     def errors(
         self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
@@ -351,14 +357,14 @@ class Problem:
                 segment = self.simulator.segments[s]
                 error = segment.position - p.position
                 start = self.starts.get(int(s))
-                columns = [error if start is None else start.freed(error)]
+                columns = [error if start is None else start.without_initial_error(error)]
                 if self.effort_floor is not None and segment.effort is not None:
                     columns.append(self.weigh_efforts(int(s), segment.effort - p.effort))
                 parts.append(np.concatenate(columns, axis=1))
             out.append(np.concatenate(parts))
         return out
 
-    def weighed(self, stacked: FloatArray, segments: NDArray[np.int64]) -> FloatArray:
+    def weigh_positions(self, stacked: FloatArray, segments: NDArray[np.int64]) -> FloatArray:
         """(samples, signals, ...) of segments, positions multiplied by :attr:`position_weights`."""
         if not self.position_weights:
             return stacked
@@ -391,20 +397,20 @@ class Problem:
         return np.concatenate([self.floor, self.effort_floor])
 
     @property
-    def everywhere(self) -> NDArray[np.int64]:
+    def all_segments(self) -> NDArray[np.int64]:
         """Indices of all segments."""
         return np.arange(len(self.simulator.segments))
 
     @property
-    def tested(self) -> NDArray[np.int64]:
+    def tested_segments(self) -> NDArray[np.int64]:
         """Held-out segments, or fit segments if none is held out; effects are compared on them."""
         return self.held_out if len(self.held_out) else self.fit
 
     @property
-    def in_test(self) -> NDArray[np.bool_]:
-        """(samples,) of all segments: whether the sample belongs to a :attr:`tested` segment."""
+    def is_in_test(self) -> NDArray[np.bool_]:
+        """(samples,) of all segments: whether each belongs to one of :attr:`tested_segments`."""
         inside: NDArray[np.bool_] = np.repeat(
-            np.isin(self.everywhere, self.tested), self.lengths(self.everywhere)
+            np.isin(self.all_segments, self.tested_segments), self.lengths(self.all_segments)
         )
         return inside
 
@@ -422,7 +428,7 @@ def _key(hypothesis: Hypothesis) -> _Key:
     return hypothesis.terms, hypothesis.theta.tobytes()
 
 
-def nominal_replay(simulator: BatchSimulator) -> list[Predicted]:
+def replay_nominal(simulator: BatchSimulator) -> list[Predicted]:
     """Predictions of every segment by the nominal model."""
     count = len(simulator.segments)
     values = effect_values([EMPTY] * count, len(simulator.joints), Scales({}))

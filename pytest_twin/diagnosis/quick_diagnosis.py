@@ -24,19 +24,19 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 )
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.sensitivities import sensitivities
-from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.fit import FittedModel, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import (
     MissingForce,
     TimeAndRegime,
-    missing_force,
-    motions,
-    place_of,
+    compute_missing_force,
+    locate_error,
+    smooth_motions,
 )
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_whole
-from pytest_twin.diagnosis.prepare import NOISE, Prepared
+from pytest_twin.diagnosis.prepare import NOISE, PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.quick_settings import QUICK
 from pytest_twin.diagnosis.smoothing import smooth_state
@@ -61,18 +61,18 @@ class LikelyEffect:
     Attributes:
         place: the effect and its joints.
         values: reported name of a parameter -> (value, unit), at the first joint.
-        share: posterior share among the fitted candidates, 0 to 1.
-        removed: share of the squared error of the examined part that it removes.
-        rivals: other effects that explain the recording about as well, best first.
-        of: joints whose errors it was fitted to explain; empty for all joints.
+        posterior_share: posterior share among the fitted candidates, 0 to 1.
+        removed_share: share of the squared error of the examined part that it removes.
+        alternatives: other effects that explain the recording about as well, best first.
+        explained_joints: joints whose errors it was fitted to explain; empty for all joints.
     """
 
     place: Place
     values: dict[str, tuple[float, str]]
-    share: float
-    removed: float
-    rivals: tuple[Place, ...] = ()
-    of: tuple[str, ...] = ()
+    posterior_share: float
+    removed_share: float
+    alternatives: tuple[Place, ...] = ()
+    explained_joints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class QuickDiagnosis:
 def quick_diagnosis(
     realization: Realization,
     trial: Trial,
-    patched: Patched | None = None,
+    patched: PatchedModel | None = None,
     failed: Collection[str] = (),
 ) -> QuickDiagnosis:
     """Find the most likely effects of one trial.
@@ -115,8 +115,8 @@ def quick_diagnosis(
         SimulationError: the model diverges.
         SpecError: a controller, payload or actuator that the model lacks.
     """
-    seen, since = _worst_part(realization, trial, patched, failed)
-    whole = _prepared(realization, [seen], [], patched)
+    examined, start = _worst_part(realization, trial, patched, failed)
+    whole = _prepare(realization, [examined], [], patched)
     before = whole.problem.residuals([EMPTY], whole.problem.fit)[0]
     if not np.isfinite(before).all():
         raise SimulationError(
@@ -126,25 +126,30 @@ def quick_diagnosis(
             "inertias and servo gains of the model",
         )
     joints = len(whole.problem.joints)
-    counted = _to_explain(whole.problem.joints, failed)
+    must_explain = _must_explain(whole.problem.joints, failed)
     size = np.sqrt(np.mean(before[:, :joints] ** 2, axis=0)) / whole.problem.floor
-    force = missing_force(whole.problem, before, whole.floor_parts[NOISE])
-    causes = _causes(force, size, counted)
-    where = _where(whole, seen, since, _blame(force, causes[:1]), causes[0])
+    force = compute_missing_force(whole.problem, before, whole.floor_parts[NOISE])
+    causes = _likely_causes(force, size, must_explain)
+    where = _locate(whole, examined, start, _force_excess(force, causes[:1]), causes[0])
     likely_effects: list[LikelyEffect] = []
-    left = counted & (size > VERDICT.at_floor)
+    left = must_explain & (size > VERDICT.at_floor)
     rounds = QUICK.most_rounds
     while left.any() and rounds:
         rounds -= 1
         search = _EffectSearch(
-            realization, patched, seen, whole, before, counted if not likely_effects else left
+            realization,
+            patched,
+            examined,
+            whole,
+            before,
+            must_explain if not likely_effects else left,
         )
-        found = search.likely(force, size)
+        found = search.find_likely_effect(force, size)
         if found is None:
             break
         likely, after = found
         likely_effects.append(likely)
-        left = left & ~_explained(before, after, joints)
+        left = left & ~_is_explained(before, after, joints)
     is_located = bool(force.strength[causes[0]] > 1.0)
     names = whole.problem.joints
     return QuickDiagnosis(
@@ -152,25 +157,25 @@ def quick_diagnosis(
         unexplained=tuple(n for n, out in zip(names, left, strict=True) if out and n in failed),
         joint=names[causes[0]] if is_located else None,
         where=where,
-        floors=float(size[counted].max()),
+        floors=float(size[must_explain].max()),
     )
 
 
-def _blame(force: MissingForce, causes: Sequence[int]) -> FloatArray:
+def _force_excess(force: MissingForce, causes: Sequence[int]) -> FloatArray:
     """(samples,) squared missing force of the joints ``causes`` above its noise, in variances."""
     squared: FloatArray = (force.force[:, causes] / force.noise[list(causes)]) ** 2
-    blame: FloatArray = np.maximum(squared - 1.0, 0.0).sum(axis=1)
-    return blame
+    excess: FloatArray = np.maximum(squared - 1.0, 0.0).sum(axis=1)
+    return excess
 
 
-def _explained(before: FloatArray, after: FloatArray, joints: int) -> NDArray[np.bool_]:
+def _is_explained(before: FloatArray, after: FloatArray, joints: int) -> NDArray[np.bool_]:
     """(joints,) whether the share of the squared error that an effect removes is large enough."""
     left, whole = (np.sum(r[:, :joints] ** 2, axis=0) for r in (after, before))
     explained: NDArray[np.bool_] = left <= (1.0 - QUICK.removes) * whole
     return explained
 
 
-def cut(trial: Trial, start: float, end: float) -> Trial:
+def cut_trial(trial: Trial, start: float, end: float) -> Trial:
     """The part of a trial between two times in s from its first state.
 
     Earlier commands are kept, because a delay makes them act later. Without a recorded velocity the
@@ -199,7 +204,7 @@ def cut(trial: Trial, start: float, end: float) -> Trial:
 
 
 def _worst_part(
-    realization: Realization, trial: Trial, patched: Patched | None, failed: Collection[str]
+    realization: Realization, trial: Trial, patched: PatchedModel | None, failed: Collection[str]
 ) -> tuple[Trial, float]:
     """The part of a trial around its largest error, and its start in s; a short trial whole."""
     if trial.duration <= QUICK.looked_at:
@@ -210,26 +215,31 @@ def _worst_part(
         replayed = replay_whole(realization, patched, trial)
     if replayed.error is not None:
         raise replayed.error
-    off = (trial.position - replayed.position)[:, _to_explain(trial.joints, failed)]
+    off = (trial.position - replayed.position)[:, _must_explain(trial.joints, failed)]
     off = off / np.maximum(np.sqrt(np.mean(off**2, axis=0)), 1e-12)
-    start = _fullest(trial.time, (off**2).sum(axis=1), QUICK.looked_at)
-    return cut(trial, start, start + QUICK.looked_at), start
+    start = _start_of_largest_sum(trial.time, (off**2).sum(axis=1), QUICK.looked_at)
+    return cut_trial(trial, start, start + QUICK.looked_at), start
 
 
-def _prepared(
-    realization: Realization, fit: Sequence[Trial], aside: Sequence[Trial], patched: Patched | None
-) -> Prepared:
+def _prepare(
+    realization: Realization,
+    fit: Sequence[Trial],
+    aside: Sequence[Trial],
+    patched: PatchedModel | None,
+) -> PreparedProblem:
     """The problem of fitting ``fit`` and predicting ``aside``."""
-    return ModelSetup.of(realization, patched).prepared(fit, aside)
+    return ModelSetup.of(realization, patched).prepare(fit, aside)
 
 
-def _to_explain(joints: Sequence[str], failed: Collection[str]) -> NDArray[np.bool_]:
+def _must_explain(joints: Sequence[str], failed: Collection[str]) -> NDArray[np.bool_]:
     """(joints,) whether the error of a joint is to be explained: the failed joints, or all."""
     named = np.array([j in failed for j in joints])
     return named if named.any() else np.ones_like(named)
 
 
-def _causes(force: MissingForce, size: FloatArray, counted: NDArray[np.bool_]) -> list[int]:
+def _likely_causes(
+    force: MissingForce, size: FloatArray, must_explain: NDArray[np.bool_]
+) -> list[int]:
     """Joints at which effects are tried, the largest signal-to-noise ratio first.
 
     Joints whose error is to be explained come first, then others that may move them. If no force
@@ -237,21 +247,21 @@ def _causes(force: MissingForce, size: FloatArray, counted: NDArray[np.bool_]) -
     """
     strength = force.strength
     order = np.argsort(-strength, kind="stable")
-    largest = np.where(counted, strength, 0.0).max()
+    largest = np.where(must_explain, strength, 0.0).max()
     # If the forces of these joints are all within the noise, other joints move them.
-    own = counted & (largest > 1.0) & (strength >= QUICK.cause * largest)
+    own = must_explain & (largest > 1.0) & (strength >= QUICK.cause * largest)
     clear = [int(j) for j in order if own[j]]
     clear += [int(j) for j in order if strength[j] >= max(QUICK.cause * strength.max(), 1e-9)]
-    worst = int(np.argmax(np.where(counted, size, 0.0)))
+    worst = int(np.argmax(np.where(must_explain, size, 0.0)))
     return list(dict.fromkeys(clear))[: QUICK.most_joints] or [worst]
 
 
-def _where(
-    prepared: Prepared, trial: Trial, since: float, blame: FloatArray, joint: int
+def _locate(
+    prepared: PreparedProblem, trial: Trial, since: float, excess: FloatArray, joint: int
 ) -> TimeAndRegime:
     problem = prepared.problem
     unit = "m" if problem.simulator.layout.slides[joint] else "rad"
-    found = place_of(motions(prepared, [trial]), blame, joint, unit)
+    found = locate_error(smooth_motions(prepared, [trial]), excess, joint, unit)
     moved = {
         name: [[round(a + since, 3), round(b + since, 3)] for a, b in windows]
         for name, windows in found.windows.items()
@@ -259,23 +269,23 @@ def _where(
     return TimeAndRegime(found.summary, moved)
 
 
-def _stretches(problem: Problem, trial: Trial, blame: FloatArray) -> list[Trial]:
-    """One or two short parts of a trial with the largest sums of ``blame``, not overlapping."""
+def _parts_with_largest_force(problem: Problem, trial: Trial, excess: FloatArray) -> list[Trial]:
+    """One or two short parts of a trial with the largest sums of ``excess``, not overlapping."""
     length = float(np.clip(QUICK.stretch_share * trial.duration, QUICK.shortest, QUICK.longest))
     time = np.concatenate([s.time for s in problem.simulator.segments])
-    first = _fullest(time, blame, length)
-    found = [cut(trial, first, first + length)]
-    left = np.where((time >= first - length) & (time <= first + length), 0.0, blame)
+    first = _start_of_largest_sum(time, excess, length)
+    found = [cut_trial(trial, first, first + length)]
+    left = np.where((time >= first - length) & (time <= first + length), 0.0, excess)
     if left.any():
-        second = _fullest(time, left, length)
+        second = _start_of_largest_sum(time, left, length)
         if abs(second - first) >= length:
-            found.append(cut(trial, second, second + length))
+            found.append(cut_trial(trial, second, second + length))
     return found
 
 
-def _fullest(time: FloatArray, blame: FloatArray, length: float) -> float:
-    """Start in s of the part of ``length`` s with the largest sum of ``blame``."""
-    summed = np.concatenate([[0.0], np.cumsum(blame)])
+def _start_of_largest_sum(time: FloatArray, excess: FloatArray, length: float) -> float:
+    """Start in s of the part of ``length`` s with the largest sum of ``excess``."""
+    summed = np.concatenate([[0.0], np.cumsum(excess)])
     last = max(float(time[-1]) - length, 0.0)
     begin = np.searchsorted(time, np.minimum(time, last))
     end = np.searchsorted(time, time[begin] + length, side="right")
@@ -289,77 +299,81 @@ class _EffectSearch:
     Attributes:
         realization: the nominal model.
         patched: effects that a diagnosis wrote outside the MJCF.
-        seen: the trial, or its worst part.
-        whole: the problem over ``seen``.
-        before: (samples, signals) residual of the nominal model over ``seen``.
-        counted: (joints,) whether the error of a joint is to be explained.
+        examined: the trial, or its worst part.
+        whole: the problem over ``examined``.
+        before: (samples, signals) residual of the nominal model over ``examined``.
+        must_explain: (joints,) whether the error of a joint is to be explained.
     """
 
     realization: Realization
-    patched: Patched | None
-    seen: Trial
-    whole: Prepared
+    patched: PatchedModel | None
+    examined: Trial
+    whole: PreparedProblem
     before: FloatArray
-    counted: NDArray[np.bool_]
+    must_explain: NDArray[np.bool_]
 
-    def likely(
+    def find_likely_effect(
         self, force: MissingForce, size: FloatArray
     ) -> tuple[LikelyEffect, FloatArray] | None:
-        """The most likely effect and the residual over ``seen`` with it; None if none is supported.
+        """The most likely effect, and the residual over ``examined`` with it.
+
+        None if no effect is supported.
 
         Args:
             force: the missing force.
             size: (joints,) RMS error of the nominal model, in noise floors.
         """
-        whole, counted = self.whole.problem, self.counted
-        causes = _causes(force, size, counted)
-        own = [j for j in causes if counted[j]] or causes
-        parts = _stretches(whole, self.seen, _blame(force, own))
-        problem = _prepared(self.realization, parts[:1], parts[1:], self.patched).problem
+        whole, must_explain = self.whole.problem, self.must_explain
+        causes = _likely_causes(force, size, must_explain)
+        own = [j for j in causes if must_explain[j]] or causes
+        parts = _parts_with_largest_force(whole, self.examined, _force_excess(force, own))
+        problem = _prepare(self.realization, parts[:1], parts[1:], self.patched).problem
         # The same scales, so that parameters fitted to the part have the same values on the whole.
         problem = replace(problem, scales=whole.scales, floor=whole.floor)
-        signals = np.flatnonzero(counted)
+        signals = np.flatnonzero(must_explain)
         nominal = problem.residuals([EMPTY], problem.fit)[0]
-        tried = _candidates(problem, causes, nominal, signals)
+        tried = _select_candidates(problem, causes, nominal, signals)
         if not tried:
             return None
-        fitted, evidence = _fitted_candidates(problem, tried, nominal, signals)
+        fitted, evidence = _fit_candidates(problem, tried, nominal, signals)
         best = int(np.argmax(evidence))
         after = whole.residuals([f.hypothesis for f in fitted], whole.fit)
-        removed = 1.0 - _squared(after[best], whole, counted) / _squared(
-            self.before, whole, counted
+        removed_share = 1.0 - _squared(after[best], whole, must_explain) / _squared(
+            self.before, whole, must_explain
         )
-        if not removed >= QUICK.removes:
+        if not removed_share >= QUICK.removes:
             return None
         named = tried[best]
-        place = _place(problem, named)
-        places = [_place(problem, starts) for starts in tried]
+        place = _place_of(problem, named)
+        places = [_place_of(problem, starts) for starts in tried]
         # Forms of one law are the same effect. A candidate that contains the best one and more is
         # no alternative to it.
         same = np.array([p == place for p in places])
         other = np.array([not _contains(starts, named) for starts in tried]) & ~same
-        share = np.exp(np.maximum(evidence - evidence.max(), -700.0)) * (same | other)
-        share /= share.sum()
-        explained = counted & _explained(self.before, after[best], len(counted))
+        posterior_share = np.exp(np.maximum(evidence - evidence.max(), -700.0)) * (same | other)
+        posterior_share /= posterior_share.sum()
+        explained = must_explain & _is_explained(self.before, after[best], len(must_explain))
         left = np.array([_squared(r, whole, explained) for r in after])
         floor = float(len(self.before) * explained.sum())
         close = (left <= QUICK.clearly_worse * max(left[best], floor)) | (
-            share >= 1.0 - QUICK.most_confidence
+            posterior_share >= 1.0 - QUICK.most_confidence
         )
         order = np.argsort(-evidence, kind="stable")
-        rivals = dict.fromkeys(places[i] for i in order if close[i] and other[i])
-        likely = LikelyEffect(
+        alternatives = dict.fromkeys(places[i] for i in order if close[i] and other[i])
+        effect = LikelyEffect(
             place=place,
-            values=_values(problem, fitted[best].hypothesis),
-            share=min(float(share[same].sum()), QUICK.most_confidence),
-            removed=float(removed),
-            rivals=tuple(rivals)[: QUICK.most_alternatives],
-            of=() if counted.all() else tuple(np.array(problem.joints)[counted].tolist()),
+            values=_reported_values(problem, fitted[best].hypothesis),
+            posterior_share=min(float(posterior_share[same].sum()), QUICK.most_confidence),
+            removed_share=float(removed_share),
+            alternatives=tuple(alternatives)[: QUICK.most_alternatives],
+            explained_joints=()
+            if must_explain.all()
+            else tuple(np.array(problem.joints)[must_explain].tolist()),
         )
-        return likely, after[best]
+        return effect, after[best]
 
 
-def _candidates(
+def _select_candidates(
     problem: Problem, causes: Sequence[int], nominal: FloatArray, signals: NDArray[np.int64]
 ) -> list[Starts]:
     """Candidates to be fitted: the best to first order, and those confused with the first one."""
@@ -410,12 +424,12 @@ def _contains(starts: Starts, named: Starts) -> bool:
     return term.joint == other.joint and other.effect in special
 
 
-def _fitted_candidates(
+def _fit_candidates(
     problem: Problem,
     found: Sequence[Starts],
     nominal: FloatArray,
     signals: NDArray[np.int64],
-) -> tuple[list[Fitted], FloatArray]:
+) -> tuple[list[FittedModel], FloatArray]:
     """Candidates after a short fit, and their evidence relative to the nominal model.
 
     Args:
@@ -434,10 +448,11 @@ def _fitted_candidates(
     weights[signals] = 1.0 / np.sqrt(mean_square + floor**2)
     fitted = fit(problem, starts, weights, problem.fit, iterations=QUICK.iterations)
     effective = effective_samples(left, problem.lengths(problem.fit))
-    price = 0.5 * np.log(max(float(effective.mean()), 2.0))
+    penalty = 0.5 * np.log(max(float(effective.mean()), 2.0))
     base = log_likelihood(left, floor, effective)
     evidence = np.array([
-        log_likelihood(f.residual[:, signals], floor, effective) - base - price * f.hypothesis.free
+        log_likelihood(f.residual[:, signals], floor, effective) - base
+        - penalty * f.hypothesis.free_count
         for f in fitted
     ])  # fmt: skip
     if len(problem.held_out):
@@ -450,19 +465,19 @@ def _fitted_candidates(
     return fitted, np.nan_to_num(evidence, nan=-np.inf)
 
 
-def _squared(residual: FloatArray, problem: Problem, counted: NDArray[np.bool_]) -> float:
+def _squared(residual: FloatArray, problem: Problem, must_explain: NDArray[np.bool_]) -> float:
     """Sum of squared position errors in noise floors; infinite where a simulation diverged."""
     positions = residual[:, : len(problem.joints)] / problem.floor
-    value = float(np.sum(positions[:, counted] ** 2))
+    value = float(np.sum(positions[:, must_explain] ** 2))
     return value if np.isfinite(value) else float("inf")
 
 
-def _place(problem: Problem, starts: Starts) -> Place:
+def _place_of(problem: Problem, starts: Starts) -> Place:
     (effect,) = {term.effect for term in starts}
     return effect, tuple(problem.joints[term.joint] for term in starts if term.joint >= 0)
 
 
-def _values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, str]]:
+def _reported_values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, str]]:
     """Reported name -> (value, unit) of the first term's parameters, without choices of a form."""
     term = hypothesis.terms[0]
     simulator = problem.simulator

@@ -68,7 +68,7 @@ class RecordedRange:
             problem.has_different_temperatures,
         )
 
-    def hides(self, term: Term, parameter: Parameter, value: float) -> str:
+    def why_not_identifiable(self, term: Term, parameter: Parameter, value: float) -> str:
         """Reason why a shape parameter is not identifiable at this SI value; empty if it is."""
         if parameter.neutral is not None or parameter.reference == "twelfth":
             return ""
@@ -96,7 +96,7 @@ class RecordedRange:
         return ""
 
 
-def not_shown(
+def unidentifiable_effects(
     problem: Problem, hypothesis: Hypothesis, recorded: RecordedRange | None = None
 ) -> dict[Term, str]:
     """Effects whose shape parameters are outside the identifiable range, and the reason of each.
@@ -110,19 +110,23 @@ def not_shown(
     out: dict[Term, str] = {}
     for term in hypothesis.terms:
         theta = hypothesis.theta[hypothesis.slice_of(term)]
-        why = hidden_at(problem, recorded, term, theta)
+        why = why_unidentifiable(problem, recorded, term, theta)
         if why:
             out[term] = why
     return out
 
 
-def hidden_at(problem: Problem, recorded: RecordedRange, term: Term, theta: FloatArray) -> str:
+def why_unidentifiable(
+    problem: Problem, recorded: RecordedRange, term: Term, theta: FloatArray
+) -> str:
     """Reason why an effect is not identifiable at these scaled parameters; empty if it is."""
     has = term.law.has(theta)
     for k, p in enumerate(term.parameters):
         if not has[k]:
             continue
-        why = recorded.hides(term, p, float(theta[k]) * problem.scales.value(p, term.joint))
+        why = recorded.why_not_identifiable(
+            term, p, float(theta[k]) * problem.scales.value(p, term.joint)
+        )
         if why:
             return why
     return ""

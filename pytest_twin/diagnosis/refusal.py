@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.physical_totals import impossible
+from pytest_twin.diagnosis.physical_totals import impossible_effects
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded_range import RecordedRange, not_shown
+from pytest_twin.diagnosis.recorded_range import RecordedRange, unidentifiable_effects
 
 
-def refused(
+def refused_effects(
     problem: Problem, hypothesis: Hypothesis, recorded: RecordedRange | None = None
 ) -> dict[Term, str]:
     """Effects of a hypothesis that are refused, and the reason of each.
@@ -20,10 +20,13 @@ def refused(
         hypothesis: effects with parameters.
         recorded: ranges of the recordings; computed from the problem by default.
     """
-    return {**not_shown(problem, hypothesis, recorded), **impossible(problem, hypothesis)}
+    return {
+        **unidentifiable_effects(problem, hypothesis, recorded),
+        **impossible_effects(problem, hypothesis),
+    }
 
 
-def allowed_without(
+def reportable_without(
     problem: Problem, rejected: Collection[Term], recorded: RecordedRange
 ) -> Callable[[Hypothesis], bool]:
     """Whether a set of effects may be reported: none of it is refused or was rejected before.
@@ -34,4 +37,6 @@ def allowed_without(
         recorded: ranges of the recordings.
     """
     excluded = frozenset(rejected)
-    return lambda other: excluded.isdisjoint(other.terms) and not refused(problem, other, recorded)
+    return lambda other: (
+        excluded.isdisjoint(other.terms) and not refused_effects(problem, other, recorded)
+    )

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pytest_twin.diagnosis.equivalent_sets import compare_sets
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
-from pytest_twin.diagnosis.refusal import allowed_without
+from pytest_twin.diagnosis.refusal import reportable_without
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.pruning import PrunedModel, prune
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
@@ -39,7 +39,7 @@ def replace_closest_known(
     """
     if not pruned.closest:
         return selected, pruned
-    allowed = allowed_without(problem, pruned.closest, RecordedRange.of(problem))
+    allowed = reportable_without(problem, pruned.closest, RecordedRange.of(problem))
     compared = compare_sets(comparison, selected.best.hypothesis, allowed)
     other = compared.best.hypothesis
     if not allowed(other) or not other.terms or compared.gain < -SELECTION.earns:

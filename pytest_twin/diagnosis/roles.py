@@ -62,7 +62,7 @@ def roles_of(read: TrialSet) -> Roles:
     paths = sorted(dict.fromkeys(t.path for t in read.fit), key=str)
     if len(paths) < ROLES.fewest_recordings:
         return Roles(read.fit, (), read.held_out, _of_few(len(paths)), read)
-    chosen = _chosen(paths, read.fit)
+    chosen = _choose_validation(paths, read.fit)
     if not chosen:
         return Roles(read.fit, (), read.held_out, _of_different(len(paths)), read)
     names = ", ".join(p.name for p in paths if p in chosen)
@@ -93,7 +93,7 @@ def _of_different(count: int) -> str:
     )
 
 
-def _chosen(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
+def _choose_validation(paths: Sequence[Path], trials: Sequence[Trial]) -> set[Path]:
     """Paths of the validation recordings; empty if not every condition can have one."""
     of = {p: [t for t in trials if t.path == p] for p in paths}
     seconds = {p: sum(t.duration for t in of[p]) for p in paths}

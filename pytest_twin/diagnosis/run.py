@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from pytest_twin.diagnosis.budget import RESERVED, Budget
+from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
 from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
@@ -16,14 +16,14 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
+class ScoredHypothesis:
     """A hypothesis with its score; the score is None before it is computed."""
 
     hypothesis: Hypothesis = EMPTY
     score: float | None = None
 
 
-_NOTHING = Scored()
+_NOTHING = ScoredHypothesis()
 
 
 class Run:
@@ -32,13 +32,14 @@ class Run:
     Attributes:
         budget: limits of time and simulations, and what was used.
         trace: every step of the searches.
-        untried: searches that were skipped because time or simulations ran out, one line each.
+        skipped_searches: searches that were skipped because time or simulations ran out, one line
+            each.
     """
 
     def __init__(self, budget: Budget | None = None, trace: Trace | None = None) -> None:
         self.budget = Budget() if budget is None else budget
         self.trace = Trace() if trace is None else trace
-        self.untried: list[str] = []
+        self.skipped_searches: list[str] = []
 
     @property
     def is_over(self) -> bool:
@@ -53,7 +54,9 @@ class Run:
         done = 1.0 - 0.98**steps
         if not self.budget.seconds:
             return done
-        return min(max(done, self.budget.elapsed / ((1.0 - RESERVED) * self.budget.seconds)), 1.0)
+        return min(
+            max(done, self.budget.elapsed / ((1.0 - RESERVED_SHARE) * self.budget.seconds)), 1.0
+        )
 
     def begin(self, stage: str, problem: Problem) -> None:
         """Start a search of ``problem``; the steps that follow belong to ``stage``."""
@@ -66,8 +69,8 @@ class Run:
         move: str,
         decision: Decision,
         reason: str,
-        proposed: Scored = _NOTHING,
-        best: Scored = _NOTHING,
+        proposed: ScoredHypothesis = _NOTHING,
+        best: ScoredHypothesis = _NOTHING,
     ) -> None:
         """Add a step to the trace.
 
@@ -117,16 +120,16 @@ class Run:
         Args:
             what: name of the search, for the reader.
         """
-        if what not in self.untried:
-            self.untried.append(what)
+        if what not in self.skipped_searches:
+            self.skipped_searches.append(what)
 
 
-def not_tried(run: Run) -> list[str]:
+def describe_skipped_searches(run: Run) -> list[str]:
     """Note on the searches that were skipped, why, and what more time could change.
 
     Empty if none was skipped.
     """
-    if not run.untried:
+    if not run.skipped_searches:
         return []
     budget = run.budget
     if budget.stopped:
@@ -136,7 +139,8 @@ def not_tried(run: Run) -> list[str]:
     else:
         why = f"its {budget.simulations:g} simulations of all data were used"
         more = "With more recordings or a smaller model"
+    skipped = "; ".join(run.skipped_searches)
     return [
-        f"the search ended early, because {why}. Not tried: {'; '.join(run.untried)}. {more} "
+        f"the search ended early, because {why}. Not tried: {skipped}. {more} "
         "further effects could be found, and effects could give way to better alternatives"
     ]

@@ -6,26 +6,26 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from pytest_twin.diagnosis.alternative_sets import with_alternative_sets, with_limited_confidence
+from pytest_twin.diagnosis.alternative_sets import compare_with_other_sets, limit_confidence
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.friction_constraint import (
-    refit_as_friction_acts,
-    search_as_friction_acts,
+    refit_with_better_constraint,
+    search_with_better_constraint,
 )
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.integrator_detection import (
     detect_integrator,
-    explains_more,
+    simulation_explains_more,
 )
-from pytest_twin.diagnosis.integrator_of_findings import with_detected_timestep
+from pytest_twin.diagnosis.integrator_of_findings import refit_with_detected_timestep
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_result import (
     SearchResult,
     build_problem,
-    confirm,
+    confirm_effects,
     refit_whole_motions,
     refit_with_full_drive,
     residuals_everywhere,
@@ -43,54 +43,54 @@ from pytest_twin.errors import RecordingError
 
 # Windows are searched only if some set leaves at most this share of the nominal model's squared
 # error in the linearized motion.
-_LEFT_BY_CATALOGUE = 0.1
-_OF_WHOLE = 0.5
+_MAX_RESIDUAL_SHARE = 0.1
+_SHARE_FOR_WHOLE_RECORDINGS = 0.5
 """Share of the simulations for whole recordings if windows are searched too."""
-_CONTACT = "contact"
-_IN_WINDOWS = (
+_CONTACT_FAMILY = "contact"
+_WINDOWS_NOTE = (
     f"all errors are of predictions over windows of {WINDOW:g} s that start from measured states: "
     "over whole recordings small errors of this motion grow (an oscillating servo, a falling arm, "
     "an integrated velocity)"
 )
 
-_NAMED_IN_WINDOWS = (
+_SELECTED_IN_WINDOWS_NOTE = (
     f"the effects were selected in windows of {WINDOW:g} s that start from measured states, and "
     "fitted over whole recordings: over whole recordings stick-slip motion separates effects less"
 )
 
-_AS_A_DRIVE = (
+_FULL_DRIVE_NOTE = (
     "all drive parameters were fitted together, because stick-slip motion does not separate them; "
     "alternatives to the findings with 50 % confidence were not tested"
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Searched:
+class RecordingSearchResult:
     """Result of all searches of a diagnosis.
 
     Attributes:
-        given: the model with the simulation settings of this result.
+        setup: the model with the simulation settings of this result.
         found: the best result.
-        near: length in s of the windows in which the unexplained residual is located; None for
-            whole recordings.
+        location_window: length in s of the windows in which the unexplained residual is located;
+            None for whole recordings.
         notes: one line each, for the reader.
     """
 
-    given: ModelSetup
+    setup: ModelSetup
     found: SearchResult
-    near: float | None
+    location_window: float | None
     notes: tuple[str, ...]
 
 
 def search_recordings(
-    given: ModelSetup, prepared: Prepared, trials: TrialSet, run: Run
-) -> Searched:
+    setup: ModelSetup, prepared: PreparedProblem, trials: TrialSet, run: Run
+) -> RecordingSearchResult:
     """Search for effects over whole recordings, and over windows of them if these explain more.
 
     If time runs out, the result of the last finished search is returned.
 
     Args:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         prepared, trials: the problem over whole recordings, and its trials.
         run: the running diagnosis.
     """
@@ -98,105 +98,111 @@ def search_recordings(
     problem = prepared.problem
     run.budget.add(problem)
     contact = problem.simulator.models.contact
-    clear, start = EMPTY, EMPTY  # ``clear``: effects found away from contact
+    effects_without_contact, start = EMPTY, EMPTY
     if contact.world.size:
         away = run.attempt(
             "the search for effects far from contact",
-            lambda: _search_away_from_contact(given, trials, contact, run), None,
+            lambda: _search_away_from_contact(setup, trials, contact, run), None,
         )  # fmt: skip
         if away is not None:
-            clear = start = away
+            effects_without_contact = start = away
             start = run.attempt(
                 "contact effects in addition",
-                lambda: _add_contact_effects(problem, clear, run),
-                clear,
+                lambda: _add_contact_effects(problem, effects_without_contact, run),
+                effects_without_contact,
             )
     run.begin(_stage_of(problem), problem)
     with run.budget.reserved():
         share = _share_for_whole_recordings(problem)
     with run.budget.part(share):
-        given, found = search_as_friction_acts(given, prepared, trials, run, start)
+        setup, found = search_with_better_constraint(setup, prepared, trials, run, start)
     if found.has_diverged and contact.world.size:
         found = run.attempt(
             "contact effects once more", partial(add_contact_effects_again, found, run), found
         )
-    elif found.has_left_recordings and not contact.world.size:
+    elif found.departs_from_recordings and not contact.world.size:
         found = run.attempt(
             "a search from shorter windows",
-            partial(search_shorter_windows, found, given, run),
+            partial(search_shorter_windows, found, setup, run),
             found,
         )
-    given, found = run.attempt(
+    setup, found = run.attempt(
         "another model of creep under dry friction",
-        partial(refit_as_friction_acts, found, given, run),
-        (given, found),
+        partial(refit_with_better_constraint, found, setup, run),
+        (setup, found),
     )
     of_simulation = run.attempt(
         "recordings of a simulation",
-        partial(_search_with_detected_integrator, found, given, run),
+        partial(_search_with_detected_integrator, found, setup, run),
         None,
     )
     if of_simulation is not None:
         return of_simulation
     with_timestep = run.attempt(
         "the integration error of a simulation",
-        partial(with_detected_timestep, found, given, run),
+        partial(refit_with_detected_timestep, found, setup, run),
         None,
     )
     if with_timestep is not None:
-        given, found = with_timestep
-    near: float | None = None
-    if found.has_diverged and (clear.terms or not contact.world.size):
-        near = WINDOW
+        setup, found = with_timestep
+    location_window: float | None = None
+    if found.has_diverged and (effects_without_contact.terms or not contact.world.size):
+        location_window = WINDOW
         found, window_notes = run.attempt(
             f"windows of {WINDOW:g} s",
-            partial(_search_windows, found, given, trials, clear, run),
+            partial(_search_windows, found, setup, trials, effects_without_contact, run),
             (found, list[str]()),
         )
         notes += window_notes
-    return Searched(given, found, near, tuple(notes))
+    return RecordingSearchResult(setup, found, location_window, tuple(notes))
 
 
 def _search_with_detected_integrator(
-    found: SearchResult, given: ModelSetup, run: Run
-) -> Searched | None:
+    found: SearchResult, setup: ModelSetup, run: Run
+) -> RecordingSearchResult | None:
     """Search again without correcting the integration error, if a simulation made the recordings.
 
     None if the recordings contain no integration error, or if that search explains no more.
     """
-    stepped = detect_integrator(found, given)
-    if stepped is None:
+    changed_setup = detect_integrator(found, setup)
+    if changed_setup is None:
         return None
-    prepared, trials = build_problem(stepped, found.trials, [])
-    other = search_recordings(stepped, prepared, trials, run)
-    return other if explains_more(other.found, found) else None
+    prepared, trials = build_problem(changed_setup, found.trials, [])
+    other = search_recordings(changed_setup, prepared, trials, run)
+    return other if simulation_explains_more(other.found, found) else None
 
 
 def _search_windows(
-    found: SearchResult, given: ModelSetup, trials: TrialSet, clear: Hypothesis, run: Run
+    found: SearchResult,
+    setup: ModelSetup,
+    trials: TrialSet,
+    effects_without_contact: Hypothesis,
+    run: Run,
 ) -> tuple[SearchResult, list[str]]:
     """The better result of whole recordings and windows, with notes for the reader."""
-    cut, kept = build_problem(given, trials, [], window=WINDOW)
+    cut, kept = build_problem(setup, trials, [], window=WINDOW)
     run.begin(f"windows of {WINDOW:g} s", cut.problem)
     if cut.problem.simulator.models.contact.world.size:
         # Effects that act without contact are known from the windows away from it.
-        cut = replace(cut, problem=replace(cut.problem, family=_CONTACT))
+        cut = replace(cut, problem=replace(cut.problem, family=_CONTACT_FAMILY))
 
-    def longer() -> Prepared:
-        halves, _ = build_problem(given, trials, [], window=_half_of_longest(trials))
+    def build_longer_windows() -> PreparedProblem:
+        halves, _ = build_problem(setup, trials, [], window=_half_of_longest(trials))
         run.begin("windows of half a recording", halves.problem)
         return halves
 
     notes: list[str] = []
-    return _compare_with_windows(found, cut, kept, clear, run, notes, longer), notes
+    return _compare_with_windows(
+        found, cut, kept, effects_without_contact, run, notes, build_longer_windows
+    ), notes
 
 
 def _problem_away_from_contact(
-    given: ModelSetup, trials: TrialSet, contact: ContactGeoms
-) -> tuple[Prepared, TrialSet] | None:
+    setup: ModelSetup, trials: TrialSet, contact: ContactGeoms
+) -> tuple[PreparedProblem, TrialSet] | None:
     """The problem in windows without contact; None if there are none."""
     try:
-        return build_problem(given, trials, [], window=WINDOW, contact=contact)
+        return build_problem(setup, trials, [], window=WINDOW, contact=contact)
     except RecordingError:
         return None
 
@@ -207,8 +213,8 @@ def _share_for_whole_recordings(problem: Problem) -> float:
     It is one half if the nominal model departs from the recordings, because short windows are then
     searched as well.
     """
-    near = model_follows_recordings(problem, residuals_everywhere(problem, EMPTY))
-    return 1.0 if near else _OF_WHOLE
+    follows = model_follows_recordings(problem, residuals_everywhere(problem, EMPTY))
+    return 1.0 if follows else _SHARE_FOR_WHOLE_RECORDINGS
 
 
 def _stage_of(problem: Problem) -> str:
@@ -219,26 +225,28 @@ def _stage_of(problem: Problem) -> str:
 
 
 def _search_away_from_contact(
-    given: ModelSetup, trials: TrialSet, contact: ContactGeoms, run: Run
+    setup: ModelSetup, trials: TrialSet, contact: ContactGeoms, run: Run
 ) -> Hypothesis | None:
     """Effects that explain the motion away from contact; None if the robot is always in contact.
 
     Away from contact the linearization is valid for every law. In contact every candidate must be
     simulated.
     """
-    away = _problem_away_from_contact(given, trials, contact)
+    away = _problem_away_from_contact(setup, trials, contact)
     if away is None:
         return None
     prepared, kept = away
     run.begin("windows far from contact", prepared.problem)
-    return search(prepared, kept, EffectSelection(prepared.problem, run)).explained.hypothesis
+    return search(prepared, kept, EffectSelection(prepared.problem, run)).explanation.hypothesis
 
 
-def _add_contact_effects(problem: Problem, clear: Hypothesis, run: Run) -> Hypothesis:
+def _add_contact_effects(
+    problem: Problem, effects_without_contact: Hypothesis, run: Run
+) -> Hypothesis:
     """The effects that were found away from contact, with contact effects added."""
     run.begin("contact effects over whole recordings", problem)
-    of_contact = replace(problem, family=_CONTACT)
-    return EffectSelection(of_contact, run).run(clear).best.hypothesis
+    of_contact = replace(problem, family=_CONTACT_FAMILY)
+    return EffectSelection(of_contact, run).run(effects_without_contact).best.hypothesis
 
 
 def add_contact_effects_again(found: SearchResult, run: Run) -> SearchResult:
@@ -247,9 +255,9 @@ def add_contact_effects_again(found: SearchResult, run: Run) -> SearchResult:
     The error of a surface may be hidden by other effects that act in contact as well (a late clock,
     a saturated drive).
     """
-    problem, known = found.prepared.problem, found.explained.hypothesis
-    more = _add_contact_effects(problem, known, run)
-    if set(more.terms) <= set(known.terms):
+    problem, hypothesis = found.prepared.problem, found.explanation.hypothesis
+    more = _add_contact_effects(problem, hypothesis, run)
+    if set(more.terms) <= set(hypothesis.terms):
         return found
     return _continue_from(found, more, run)
 
@@ -263,7 +271,7 @@ def _continue_from(found: SearchResult, start: Hypothesis, run: Run) -> SearchRe
     return other if other.scores_better_than(found) else found
 
 
-def search_shorter_windows(found: SearchResult, given: ModelSetup, run: Run) -> SearchResult:
+def search_shorter_windows(found: SearchResult, setup: ModelSetup, run: Run) -> SearchResult:
     """Search in windows that the nominal model follows, then continue from that result.
 
     Windows are halved until the nominal model follows the recordings within each. The better one of
@@ -272,63 +280,68 @@ def search_shorter_windows(found: SearchResult, given: ModelSetup, run: Run) -> 
     window = typical_window_length(found.prepared.problem)
     while True:
         window *= 0.5
-        cut, kept = build_problem(given, found.trials, [], window=window)
-        near = model_follows_recordings(cut.problem, residuals_everywhere(cut.problem, EMPTY))
-        if near or window <= 2.0 * WINDOWS.shortest:
+        cut, kept = build_problem(setup, found.trials, [], window=window)
+        follows = model_follows_recordings(cut.problem, residuals_everywhere(cut.problem, EMPTY))
+        if follows or window <= 2.0 * WINDOWS.shortest:
             break
     run.begin(f"windows of {window:g} s", cut.problem)
     start = search(
-        cut, kept, EffectSelection(cut.problem, run, _LEFT_BY_CATALOGUE)
-    ).explained.hypothesis
+        cut, kept, EffectSelection(cut.problem, run, _MAX_RESIDUAL_SHARE)
+    ).explanation.hypothesis
     return _continue_from(found, start, run) if start.terms else found
 
 
 def _compare_with_windows(
     found: SearchResult,
-    cut: Prepared,
+    cut: PreparedProblem,
     kept: TrialSet,
-    clear: Hypothesis,
+    effects_without_contact: Hypothesis,
     run: Run,
     notes: list[str],
-    longer: Callable[[], Prepared],
+    build_longer_windows: Callable[[], PreparedProblem],
 ) -> SearchResult:
     """The best result of whole recordings, windows, and whole recordings with effects of windows.
 
     Args:
         found: result of whole recordings.
         cut, kept: the problem in windows, and its trials.
-        clear: effects that were found away from contact.
+        effects_without_contact: effects that were found away from contact.
         run: the diagnosis.
         notes: receives how the effects were selected.
-        longer: builds the problem in longer windows.
+        build_longer_windows: builds the problem in longer windows.
     """
-    other = confirm(cut, kept, found, run)
+    other = confirm_effects(cut, kept, found, run)
     if other is None:
         # Without contact effects, windows are searched only if some set explains most of the error
         # in the linearized motion.
-        share_left = 1.0 if clear.terms else _LEFT_BY_CATALOGUE
-        other = search(cut, kept, EffectSelection(cut.problem, run, share_left), clear)
+        max_residual_share = 1.0 if effects_without_contact.terms else _MAX_RESIDUAL_SHARE
+        other = search(
+            cut,
+            kept,
+            EffectSelection(cut.problem, run, max_residual_share),
+            effects_without_contact,
+        )
     if other.explains_more_than(found):
-        notes.append(_IN_WINDOWS)
+        notes.append(_WINDOWS_NOTE)
         return replace(other, whole=found.prepared.problem)
     if other.may_improve(found):
         # Sets of effects are not compared over whole stick-slip motions; their confidence comes
         # from the windows.
         other, _ = run.attempt(
             "other sets of effects instead of those of windows",
-            partial(with_alternative_sets, other, run),
-            (with_limited_confidence(other), 0.0),
+            partial(compare_with_other_sets, other, run),
+            (limit_confidence(other), 0.0),
         )
         if found.has_stick_slip:
-            with run.budget.apart():
-                whole = refit_with_full_drive(found, other, longer())
+            with run.budget.uncounted():
+                whole = refit_with_full_drive(found, other, build_longer_windows())
             if whole.tracks_better_than(found):
-                notes.append(_AS_A_DRIVE)
+                notes.append(_FULL_DRIVE_NOTE)
                 return whole
-        with run.budget.apart():
+        with run.budget.uncounted():
             whole = refit_whole_motions(found, other)
         if whole.tracks_better_than(found):
-            notes.append(_NAMED_IN_WINDOWS)
+            notes.append(_SELECTED_IN_WINDOWS_NOTE)
             return whole
     return found
 

@@ -11,14 +11,14 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.evidence import Likelihood, laplace_log_likelihood, log_likelihood
-from pytest_twin.diagnosis.findings import Explained, explain, joint_unit
+from pytest_twin.diagnosis.findings import Explanation, build_explanation, joint_unit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.replacement import replace_closest_known
-from pytest_twin.diagnosis.run import Run, Scored
+from pytest_twin.diagnosis.run import Run, ScoredHypothesis
 from pytest_twin.diagnosis.search.cma_es_fit import fit_by_evolution, initial_covariance_root
 from pytest_twin.diagnosis.search.full_drive_model import (
     fit_all_terms,
@@ -26,7 +26,7 @@ from pytest_twin.diagnosis.search.full_drive_model import (
     with_all_drive_terms,
 )
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.pruning import PrunedModel, keep_named, prune
+from pytest_twin.diagnosis.search.pruning import PrunedModel, prune, prune_by_likelihood
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import UNSEEN, JointError, Verdict, verdict
@@ -39,11 +39,11 @@ from pytest_twin.realization.inputs import joint_inputs
 from pytest_twin.trial import Trial
 
 # Greatest unexplained share of the squared mismatch of a search that explains most of it.
-_MOSTLY = 0.1
+_MAX_REMAINING_SHARE = 0.1
 # Least unexplained share for which effects found in windows are refitted to whole recordings.
-_SOME = 0.01
+_MIN_REMAINING_SHARE = 0.01
 # Confidence of an effect whose alternatives were not compared.
-_UNCOMPARED = 0.5
+_UNCOMPARED_CONFIDENCE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class SearchResult:
 
     Attributes:
         prepared, trials: the problem, and its recordings.
-        selected, pruned, explained: the chosen effects, those that pruning keeps, the findings.
+        selected, pruned, explanation: the chosen effects, those that pruning keeps, the findings.
         before, after: (samples, signals) residuals over all segments.
         errors: joint -> prediction errors on held-out recordings, or on all without any.
         verdict: of these errors.
@@ -60,11 +60,11 @@ class SearchResult:
         whole: problem of whole recordings, which orders the findings of windows.
     """
 
-    prepared: Prepared
+    prepared: PreparedProblem
     trials: TrialSet
     selected: SelectedModel
     pruned: PrunedModel
-    explained: Explained
+    explanation: Explanation
     before: FloatArray
     after: FloatArray
     errors: Mapping[str, JointError]
@@ -73,7 +73,7 @@ class SearchResult:
     whole: Problem | None = None
 
     @property
-    def worst(self) -> float:
+    def worst_fraction(self) -> float:
         """Greatest unexplained share of the squared mismatch of a joint, 0 to 1."""
         return max((e.fraction for e in self.errors.values() if not e.is_explained), default=0.0)
 
@@ -89,10 +89,11 @@ class SearchResult:
         """Whether a friction effect at the worst joint leaves a large residual there."""
         joint = self.worst_joint
         error = self.errors[self.prepared.problem.joints[joint]]
-        rubs = any(
-            t.joint == joint and t.law.family == "friction" for t in self.explained.hypothesis.terms
+        has_friction = any(
+            t.joint == joint and t.law.family == "friction"
+            for t in self.explanation.hypothesis.terms
         )
-        return rubs and error.after > VERDICT.left_floors * error.floor
+        return has_friction and error.after > VERDICT.left_floors * error.floor
 
     @property
     def has_diverged(self) -> bool:
@@ -101,7 +102,7 @@ class SearchResult:
         return whole and self.verdict in ("improved", "unexplained")
 
     @property
-    def has_left_recordings(self) -> bool:
+    def departs_from_recordings(self) -> bool:
         """Whether windows were simulated, are not explained, and are so long that the nominal
         model departs from the recorded motion.
         """
@@ -121,29 +122,40 @@ class SearchResult:
             self,
             prepared=other.prepared,
             errors=errors,
-            verdict=verdict(errors, self.explained.findings),
+            verdict=verdict(errors, self.explanation.findings),
         )
 
     def explains_more_than(self, other: SearchResult) -> bool:
         """Whether this result explains most of the mismatch and the other does not."""
-        if not self.explained.findings:
+        if not self.explanation.findings:
             return False
-        return self.verdict == "explained" or self.worst <= _MOSTLY < other.worst
+        return (
+            self.verdict == "explained"
+            or self.worst_fraction <= _MAX_REMAINING_SHARE < other.worst_fraction
+        )
 
     def may_improve(self, other: SearchResult) -> bool:
         """Whether both results explain most of the mismatch, and this one may improve the other:
         the other leaves some residual, or more than this one with other effects.
         """
-        mine, others = ({*s.explained.hypothesis.terms} for s in (self, other))
-        if not (mine and others) or max(self.worst, other.worst) > _MOSTLY:
+        mine, others = ({*s.explanation.hypothesis.terms} for s in (self, other))
+        if (
+            not (mine and others)
+            or max(self.worst_fraction, other.worst_fraction) > _MAX_REMAINING_SHARE
+        ):
             return False
-        return other.worst > _SOME or (mine != others and self.worst < other.worst)
+        return other.worst_fraction > _MIN_REMAINING_SHARE or (
+            mine != others and self.worst_fraction < other.worst_fraction
+        )
 
     def scores_better_than(self, other: SearchResult) -> bool:
         """Whether the findings of this result have the higher penalized likelihood and the smaller
         residual; both results are of one problem.
         """
-        return self._evidence(other, log_likelihood) > 0.0 and self.worst < other.worst
+        return (
+            self._evidence(other, log_likelihood) > 0.0
+            and self.worst_fraction < other.worst_fraction
+        )
 
     def tracks_better_than(self, other: SearchResult) -> bool:
         """The same by absolute deviations, for whole recordings of stick-slip motion."""
@@ -151,20 +163,25 @@ class SearchResult:
 
     def _evidence(self, other: SearchResult, likelihood: Likelihood) -> float:
         comparison = ModelComparison(self.prepared.problem)
-        mine, others = (comparison.score_without_fit(s.explained.hypothesis) for s in (self, other))
-        comparison.judge([mine], others, likelihood=likelihood)
+        mine, others = (
+            comparison.score_without_fit(s.explanation.hypothesis) for s in (self, other)
+        )
+        comparison.score_models([mine], others, likelihood=likelihood)
         return mine.evidence
 
 
 def search(
-    prepared: Prepared, trials: TrialSet, selection: EffectSelection, start: Hypothesis = EMPTY
+    prepared: PreparedProblem,
+    trials: TrialSet,
+    selection: EffectSelection,
+    start: Hypothesis = EMPTY,
 ) -> SearchResult:
     """Search for effects, from the nominal model or from a given hypothesis."""
     return conclude(prepared, trials, selection.diagnosis_run, selection.run(start))
 
 
 def conclude(
-    prepared: Prepared, trials: TrialSet, run: Run, selected: SelectedModel
+    prepared: PreparedProblem, trials: TrialSet, run: Run, selected: SelectedModel
 ) -> SearchResult:
     """Prune and test the chosen effects; search on first if they lower the noise floor.
 
@@ -172,8 +189,8 @@ def conclude(
     """
     state = prepared, selected
     if not run.is_over:
-        goes_on = partial(_to_the_floor, *state, run)
-        state = run.attempt("the search with a lower noise floor", goes_on, state)
+        search_on = partial(_search_with_lower_floor, *state, run)
+        state = run.attempt("the search with a lower noise floor", search_on, state)
     prepared, selected = state
     problem, comparison = prepared.problem, ModelComparison(prepared.problem, run)
     with run.budget.reserved():
@@ -181,26 +198,32 @@ def conclude(
         best = selected.best
         if best.fitted.jacobian.shape[2] != best.hypothesis.theta.size:
             selected.best = comparison.score_without_fit(best.hypothesis, slopes=True)
-        pruned = prune(problem, selected, hurried=run.budget.is_out_of_time)
+        pruned = prune(problem, selected, single_step=run.budget.is_out_of_time)
         if not run.budget.is_out_of_time:
             selected, pruned = replace_closest_known(problem, comparison, selected, pruned)
         for note in pruned.notes:
-            run.step(problem, "pruning", "rejected", note, best=Scored(pruned.fitted.hypothesis))
-        return _searched(prepared, trials, selected, pruned)
+            run.step(
+                problem,
+                "pruning",
+                "rejected",
+                note,
+                best=ScoredHypothesis(pruned.fitted.hypothesis),
+            )
+        return _build_result(prepared, trials, selected, pruned)
 
 
 def _weigh_untested(run: Run, selected: SelectedModel) -> None:
     """Halve the confidence of effects that were not compared with alternatives in time."""
     for term in selected.best.hypothesis.terms if run.is_over else ():
         if term not in selected.confidence:
-            selected.confidence[term] = _UNCOMPARED
+            selected.confidence[term] = _UNCOMPARED_CONFIDENCE
             selected.not_simulated |= {term}
             run.skip(f"the comparison of {term.effect} with its alternatives")
 
 
-def _to_the_floor(
-    prepared: Prepared, selected: SelectedModel, run: Run
-) -> tuple[Prepared, SelectedModel]:
+def _search_with_lower_floor(
+    prepared: PreparedProblem, selected: SelectedModel, run: Run
+) -> tuple[PreparedProblem, SelectedModel]:
     """Repeat the search from its own result while that lowers the noise floor."""
     while True:
         best = selected.best.hypothesis
@@ -210,20 +233,20 @@ def _to_the_floor(
         prepared, selected = lower, EffectSelection(lower.problem, run).run(best)
 
 
-def confirm(
-    prepared: Prepared, trials: TrialSet, other: SearchResult, run: Run
+def confirm_effects(
+    prepared: PreparedProblem, trials: TrialSet, other: SearchResult, run: Run
 ) -> SearchResult | None:
     """Refit the effects of another search to this problem; None if they do not explain it."""
-    start = other.explained.hypothesis
+    start = other.explanation.hypothesis
     if not start.terms:
         return None
     selection = EffectSelection(prepared.problem, run)
     comparison = selection.comparison
-    rival = comparison.fit_to_convergence(comparison.score_without_fit(start))
-    before, after = (residuals_everywhere(prepared.problem, h) for h in (EMPTY, rival.hypothesis))
+    fitted = comparison.fit_to_convergence(comparison.score_without_fit(start))
+    before, after = (residuals_everywhere(prepared.problem, h) for h in (EMPTY, fitted.hypothesis))
     if not all(e.is_explained for e in joint_errors(prepared, before, after).values()):
         return None
-    found = conclude(prepared, trials, run, selection.refine(rival))
+    found = conclude(prepared, trials, run, selection.refine(fitted))
     return found if found.verdict == "explained" else None
 
 
@@ -239,19 +262,24 @@ def refit_whole_motions(found: SearchResult, other: SearchResult) -> SearchResul
     start, mine = named.best.hypothesis, found.selected.best.hypothesis
     both = start.with_values_of(mine)
     steps = initial_covariance_root(named.best.fitted, other.prepared.problem.signal_floor)
-    end = _deepest(comparison, [start, both], steps)
+    end = _fit_by_evolution(comparison, [start, both], steps)
     best = comparison.score_without_fit(end, slopes=True)
     selected = SelectedModel(
         best, comparison.nominal, named.confidence, named.alternatives,
-        sets=named.sets, near=named.near, tried=comparison.tried,
+        sets=named.sets, nearby_models=named.nearby_models,
+        candidate_count=comparison.candidate_count,
     )  # fmt: skip
-    return _searched(
-        found.prepared, found.trials, selected, keep_named(comparison, best), laplace_log_likelihood
+    return _build_result(
+        found.prepared,
+        found.trials,
+        selected,
+        prune_by_likelihood(comparison, best),
+        laplace_log_likelihood,
     )
 
 
 def refit_with_full_drive(
-    found: SearchResult, other: SearchResult, longer: Prepared
+    found: SearchResult, other: SearchResult, longer: PreparedProblem
 ) -> SearchResult:
     """Fit the common effects of two searches and all drive effects of the worst joint together.
 
@@ -268,7 +296,7 @@ def refit_with_full_drive(
         ModelComparison(other.prepared.problem),
         found.prepared.problem,
     )
-    mine, others = (s.explained.hypothesis for s in (found, other))
+    mine, others = (s.explanation.hypothesis for s in (found, other))
     both = others.without(*(t for t in others.terms if t not in mine.terms))
     for term in mine.terms:
         if term.joint != joint and term not in both.terms:
@@ -277,10 +305,10 @@ def refit_with_full_drive(
     steps = initial_covariance_root(start.fitted, short.problem.signal_floor)
     end, middle, last = start.hypothesis, ModelComparison(longer.problem), ModelComparison(whole)
     for comparison in (middle, last):
-        end = _deepest(comparison, [end], steps)
+        end = _fit_by_evolution(comparison, [end], steps)
     best = last.score_without_fit(end, slopes=True)
-    pruned = keep_named(last, best)
-    named = weigh_by_removal(last, best, pruned.absent)
+    pruned = prune_by_likelihood(last, best)
+    named = weigh_by_removal(last, best, pruned.removal_evidence)
     for term in both.terms:
         # The search in windows has compared these effects with alternatives.
         if term in other.selected.confidence:
@@ -288,10 +316,10 @@ def refit_with_full_drive(
             named.alternatives[term] = other.selected.alternatives.get(term, [])
             if term in other.selected.sets:
                 named.sets[term] = other.selected.sets[term]
-    return _searched(found.prepared, found.trials, named, pruned, laplace_log_likelihood)
+    return _build_result(found.prepared, found.trials, named, pruned, laplace_log_likelihood)
 
 
-def _deepest(
+def _fit_by_evolution(
     comparison: ModelComparison, starts: Sequence[Hypothesis], steps: FloatArray
 ) -> Hypothesis:
     """Result of an evolution from some starts; the integration error is that of the first."""
@@ -299,35 +327,35 @@ def _deepest(
     return fit_by_evolution(problem, starts, comparison.weights(comparison.nominal), steps)
 
 
-def _searched(
-    prepared: Prepared,
+def _build_result(
+    prepared: PreparedProblem,
     trials: TrialSet,
     selected: SelectedModel,
     pruned: PrunedModel,
     likelihood: Likelihood = log_likelihood,
 ) -> SearchResult:
     problem = prepared.problem
-    explained = explain(prepared, selected, pruned, (*trials.fit, *trials.held_out))
-    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, explained.hypothesis))
+    explanation = build_explanation(prepared, selected, pruned, (*trials.fit, *trials.held_out))
+    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, explanation.hypothesis))
     errors = joint_errors(prepared, before, after)
-    word = verdict(errors, explained.findings)
+    outcome = verdict(errors, explanation.findings)
     return SearchResult(
-        prepared, trials, selected, pruned, explained, before, after, errors, word, likelihood
+        prepared, trials, selected, pruned, explanation, before, after, errors, outcome, likelihood
     )
 
 
 def build_problem(
-    given: ModelSetup,
+    setup: ModelSetup,
     trials: TrialSet,
     notes: list[str],
     window: float | None = None,
     contact: ContactGeoms | None = None,
     scales: Scales | None = None,
-) -> tuple[Prepared, TrialSet]:
+) -> tuple[PreparedProblem, TrialSet]:
     """Build the problem; recordings on which the nominal model diverges are left out.
 
     Args:
-        given: the model and its simulation settings.
+        setup: the model and its simulation settings.
         trials: the recordings.
         notes: receives a line for each recording that is left out.
         window, contact, scales: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
@@ -337,39 +365,39 @@ def build_problem(
     """
     while True:
         everything = (*trials.fit, *trials.held_out)
-        prepared = given.prepared(trials.fit, trials.held_out, window, contact, scales)
+        prepared = setup.prepare(trials.fit, trials.held_out, window, contact, scales)
         problem = prepared.problem
-        predicted = problem.predict([EMPTY], problem.everywhere)[0]
-        lost = {
+        predicted = problem.predict([EMPTY], problem.all_segments)[0]
+        diverged = {
             prepared.segment_trial[s]
             for s, p in enumerate(predicted)
             if not np.isfinite(p.position).all()
         }
-        if not lost:
-            idle = _idle(given.realization, problem)
-            notes += _taken_for_granted(prepared, everything, given.outside_mjcf, idle)
+        if not diverged:
+            idle = _joints_without_setpoint(setup.realization, problem)
+            notes += _notes_on_assumptions(prepared, everything, setup.outside_mjcf, idle)
             # Under this noise floor no residual counts, and no fit depends on the joint.
             unseen = np.isin(problem.joints, [*trials.unseen, *idle])
             floor = np.where(unseen, UNSEEN, problem.floor)
             return replace(prepared, problem=replace(problem, floor=floor)), trials
-        for i in sorted(lost):
+        for i in sorted(diverged):
             notes.append(f"left out: {everything[i].path}: the simulation of the model diverges")
-        fit = tuple(t for i, t in enumerate(everything[: len(trials.fit)]) if i not in lost)
+        fit = tuple(t for i, t in enumerate(everything[: len(trials.fit)]) if i not in diverged)
         aside = tuple(
-            t for i, t in enumerate(trials.held_out, start=len(trials.fit)) if i not in lost
+            t for i, t in enumerate(trials.held_out, start=len(trials.fit)) if i not in diverged
         )
         if not fit:
             raise SimulationError(
                 "the simulation of the model diverges under the recorded commands",
-                path=everything[min(lost)].path,
+                path=everything[min(diverged)].path,
                 expected="a model that can be simulated through at least one recording; check its "
                 "gains, inertias and timestep",
             )
         trials = replace(trials, fit=fit, held_out=aside)
 
 
-def _taken_for_granted(
-    prepared: Prepared,
+def _notes_on_assumptions(
+    prepared: PreparedProblem,
     trials: Sequence[Trial],
     outside_mjcf: Sequence[AppliedEffect],
     idle: Sequence[str],
@@ -416,24 +444,24 @@ def notes_on_low_weights(problem: Problem) -> list[str]:
     ]
 
 
-def _idle(realization: Realization, problem: Problem) -> list[str]:
+def _joints_without_setpoint(realization: Realization, problem: Problem) -> list[str]:
     """Joints with a position servo whose setpoint is not recorded."""
     servo = problem.simulator.layout.servo
     return [
         joint
-        for joint, told in zip(problem.joints, servo, strict=True)
-        if told == "none"
+        for joint, mode in zip(problem.joints, servo, strict=True)
+        if mode == "none"
         and any(i.mode == "position" for i in joint_inputs(realization.model, joint))
     ]
 
 
 def residuals_everywhere(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
     """(samples, signals) residuals of all segments, corrected for the integration error."""
-    return problem.at(hypothesis).residuals([hypothesis], problem.everywhere)[0]
+    return problem.at(hypothesis).residuals([hypothesis], problem.all_segments)[0]
 
 
 def joint_errors(
-    prepared: Prepared, before: FloatArray, after: FloatArray
+    prepared: PreparedProblem, before: FloatArray, after: FloatArray
 ) -> dict[str, JointError]:
     """Joint -> RMS errors on held-out recordings, or on all where none is held out.
 
@@ -442,9 +470,10 @@ def joint_errors(
         before, after: (samples, signals) residuals over all segments, without and with effects.
     """
     problem = prepared.problem
-    inside = problem.in_test
+    inside = problem.is_in_test
     travel = np.ptp(
-        np.concatenate([problem.simulator.segments[s].position for s in problem.tested]), axis=0
+        np.concatenate([problem.simulator.segments[s].position for s in problem.tested_segments]),
+        axis=0,
     )
     found = {}
     for j, joint in enumerate(problem.joints):

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.common_effects import size_of
-from pytest_twin.diagnosis.effort_stamps import within_a_step
+from pytest_twin.diagnosis.common_effects import set_size
+from pytest_twin.diagnosis.effort_step_tolerance import residuals_with_step_tolerance
 from pytest_twin.diagnosis.evidence import (
     NOISE_FLOORS,
     effective_samples,
@@ -30,7 +30,7 @@ from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
 
-def misfit(residual: FloatArray, floor: FloatArray) -> float:
+def log_misfit(residual: FloatArray, floor: FloatArray) -> float:
     """Sum over signals of the log of the mean squared residual, which is at least that of noise.
 
     Args:
@@ -41,7 +41,7 @@ def misfit(residual: FloatArray, floor: FloatArray) -> float:
     return float(np.log(np.maximum(mean_square, (NOISE_FLOORS * floor) ** 2)).sum())
 
 
-def set_price(
+def set_penalty(
     comparison: ModelComparison, h: Hypothesis, samples: FloatArray, idle: int = 0
 ) -> float:
     """Penalty of the log-likelihood for the parameters and the effects of a set.
@@ -54,9 +54,9 @@ def set_price(
         samples: (signals,) effective samples.
         idle: number of parameters without influence, which are not penalized.
     """
-    size = size_of(comparison.problem, h)
+    size = set_size(comparison.problem, h)
     return float(
-        parameter_penalty(samples) * (size.free - idle)
+        parameter_penalty(samples) * (size.free_count - idle)
         + comparison.penalty_per_effect * size.effects
     )
 
@@ -114,7 +114,7 @@ def recordings_of(problem: Problem, *, fitted: bool) -> int:
 
 
 def set_evidence(
-    comparison: ModelComparison, rivals: Sequence[ScoredModel], idle: Sequence[int]
+    comparison: ModelComparison, models: Sequence[ScoredModel], idle: Sequence[int]
 ) -> tuple[FloatArray, float]:
     """Penalized log-likelihood of sets on fit and validation recordings.
 
@@ -123,20 +123,22 @@ def set_evidence(
 
     Args:
         comparison: model comparison of the problem.
-        rivals: the sets.
+        models: the sets.
         idle: number of parameters of each set that are not penalized.
 
     Returns:
         The log-likelihood of each set, and the share of the effective samples that remains.
     """
-    problem, sets = comparison.problem, [r.hypothesis for r in rivals]
-    residuals = within_a_step(problem, sets, [r.fitted.residual for r in rivals], problem.fit)
+    problem, sets = comparison.problem, [r.hypothesis for r in models]
+    residuals = residuals_with_step_tolerance(
+        problem, sets, [r.fitted.residual for r in models], problem.fit
+    )
     values, whole, kept = evidence_on(
         comparison, sets, residuals, problem.lengths(problem.fit), fitted=True, idle=idle
     )
     if comparison.has_validation:
-        held_residuals = [r.held_residual for r in rivals]
-        residuals = within_a_step(problem, sets, held_residuals, problem.held_out)
+        held_residuals = [r.held_residual for r in models]
+        residuals = residuals_with_step_tolerance(problem, sets, held_residuals, problem.held_out)
         held = evidence_on(
             comparison, sets, residuals, problem.lengths(problem.held_out), fitted=False
         )
@@ -168,7 +170,7 @@ def evidence_on(
         with model error.
     """
     problem, floor = comparison.problem, comparison.problem.signal_floor
-    closest = min(residuals, key=lambda r: misfit(r, floor))
+    closest = min(residuals, key=lambda r: log_misfit(r, floor))
     effective = effective_samples(np.nan_to_num(closest), lengths)
     samples = tempered_samples(
         effective, np.mean(closest**2, axis=0), floor,
@@ -177,5 +179,5 @@ def evidence_on(
     values = np.array([log_likelihood(r, NOISE_FLOORS * floor, samples) for r in residuals])
     if fitted:
         idle = idle or [0] * len(sets)
-        values -= [set_price(comparison, h, samples, n) for h, n in zip(sets, idle, strict=True)]
+        values -= [set_penalty(comparison, h, samples, n) for h, n in zip(sets, idle, strict=True)]
     return values, float(effective.sum()), float(samples.sum())

@@ -41,7 +41,7 @@ def small_corrections(
     )
     out: dict[Term, str] = {}
     for term in hypothesis.terms:
-        why = _usual(problem, hypothesis, term)
+        why = _within_usual_accuracy(problem, hypothesis, term)
         if why:
             out[term] = why
     others = [t for t in hypothesis.terms if t not in out]
@@ -58,7 +58,7 @@ def small_corrections(
     return out
 
 
-def _usual(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
+def _within_usual_accuracy(problem: Problem, hypothesis: Hypothesis, term: Term) -> str:
     """Reason why a correction is within the usual accuracy of a model; empty if it is not."""
     shift = _longest_shift(problem, hypothesis, term)
     if shift > 0.0:

@@ -6,12 +6,12 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 
-SMOOTH = 0.12
+SMOOTHING_WIDTH = 0.12
 """Width in s of the window in which motions are differentiated."""
 
 
 def derivatives(
-    time: FloatArray, values: FloatArray, width: float = SMOOTH
+    time: FloatArray, values: FloatArray, width: float = SMOOTHING_WIDTH
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Smoothed values and their first two derivatives, by local cubics over ``width`` s.
 

@@ -30,24 +30,24 @@ def stiction_weights(problem: Problem) -> dict[int, FloatArray]:
     levels = _levels(problem)
     if not levels.any():
         return {}
-    hypotheses = [EMPTY, _yielding(problem, levels)]
+    hypotheses = [EMPTY, _with_presliding(problem, levels)]
     hypotheses += [
-        _with_more(problem, share * levels)
+        _with_added_friction(problem, share * levels)
         for share in (WINDOWS.stiction_level, -WINDOWS.stiction_level)
     ]
-    nominal, yielding, more, less = problem.errors(hypotheses, problem.everywhere)
+    nominal, yielding, more, less = problem.errors(hypotheses, problem.all_segments)
     second_difference = more + less - 2.0 * nominal
     change = np.hypot(
-        _of_segments(problem, yielding - nominal), _of_segments(problem, second_difference)
+        _segment_rms(problem, yielding - nominal), _segment_rms(problem, second_difference)
     )
     weights = 1.0 / np.hypot(1.0, np.nan_to_num(change))
     weights /= np.sqrt(np.mean(weights**2, axis=0))
     return dict(enumerate(weights))
 
 
-def _of_segments(problem: Problem, change: FloatArray) -> FloatArray:
+def _segment_rms(problem: Problem, change: FloatArray) -> FloatArray:
     """(segments, joints) root mean squares of (samples, signals), in noise floors."""
-    ends = np.cumsum(problem.lengths(problem.everywhere))[:-1]
+    ends = np.cumsum(problem.lengths(problem.all_segments))[:-1]
     floors = change[:, : len(problem.joints)] / problem.floor
     return np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.split(floors, ends)])
 
@@ -60,9 +60,9 @@ def _levels(problem: Problem) -> FloatArray:
     return levels
 
 
-def _yielding(problem: Problem, levels: FloatArray) -> Hypothesis:
+def _with_presliding(problem: Problem, levels: FloatArray) -> Hypothesis:
     """The hypothesis with presliding friction over a short distance for all dry friction."""
-    found = _with_more(problem, -levels)
+    found = _with_added_friction(problem, -levels)
     for joint in np.flatnonzero(levels):
         term = Term(PreslidingHysteresis.id, int(joint))
         level, distance = term.parameters
@@ -71,7 +71,7 @@ def _yielding(problem: Problem, levels: FloatArray) -> Hypothesis:
     return found
 
 
-def _with_more(problem: Problem, levels: FloatArray) -> Hypothesis:
+def _with_added_friction(problem: Problem, levels: FloatArray) -> Hypothesis:
     """The hypothesis with ``levels`` (joints,) of additional dry friction, N*m or N."""
     found = EMPTY
     for joint in np.flatnonzero(levels):

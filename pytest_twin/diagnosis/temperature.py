@@ -10,7 +10,7 @@ from typing import Protocol
 from pytest_twin.errors import RecordingError
 from pytest_twin.trial import Trial
 
-KEY = "temperature"
+TEMPERATURE_KEY = "temperature"
 _NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?)\s*(?:°|deg)?\s*([CK]?)\s*")
 
 ColdFractions = Mapping[str, float]
@@ -36,11 +36,11 @@ def cold_fractions_of(trials: Iterable[Trial]) -> ColdFractions:
     ``cold`` and ``warm``, the first in the alphabet counts as the colder one; the other order only
     changes the sign of the effect. More than two names have no order.
     """
-    given = [t.metadata.get(KEY) for t in trials]
-    names = sorted({g for g in given if g is not None})
-    if None in given or len(names) < 2:
+    recorded = [t.metadata.get(TEMPERATURE_KEY) for t in trials]
+    names = sorted({g for g in recorded if g is not None})
+    if None in recorded or len(names) < 2:
         return {}
-    numbers = degrees(names)
+    numbers = parse_temperatures(names)
     if numbers is None:
         return {names[0]: 1.0, names[1]: 0.0} if len(names) == 2 else {}
     coldest, warmest = min(numbers.values()), max(numbers.values())
@@ -57,23 +57,23 @@ def cold_fraction_of_trial(known: ColdFractions, trial: WithMetadata) -> float:
     """
     if not known:
         return 1.0
-    name = trial.metadata.get(KEY)
+    name = trial.metadata.get(TEMPERATURE_KEY)
     if name is not None and name in known:
         return known[name]
-    numbers = None if name is None else degrees([*known, name])
+    numbers = None if name is None else parse_temperatures([*known, name])
     if name is None or numbers is None:
         raise RecordingError(
             "the model's friction depends on temperature, and this recording has no usable one",
             path=trial.path,
             value=name,
-            expected=f"metadata {KEY!r} in the record 'trial', like {', '.join(known)}",
+            expected=f"metadata {TEMPERATURE_KEY!r} in the record 'trial', like {', '.join(known)}",
         )
     warmest, coldest = (pick(known, key=lambda n: known[n]) for pick in (min, max))
     share = (numbers[name] - numbers[warmest]) / (numbers[coldest] - numbers[warmest])
     return max(known[warmest] + share * (known[coldest] - known[warmest]), 0.0)
 
 
-def degrees(names: Iterable[str]) -> dict[str, float] | None:
+def parse_temperatures(names: Iterable[str]) -> dict[str, float] | None:
     """Temperatures in the metadata -> numbers; None if one is no number or units differ."""
     found, units = {}, set()
     for name in names:

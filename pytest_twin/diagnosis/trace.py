@@ -49,16 +49,16 @@ class Step:
             "stage": self.stage,
             "move": self.move,
             "proposed": list(self.proposed),
-            "score": _rounded(self.score),
+            "score": _round_score(self.score),
             "best": list(self.best),
-            "best_score": _rounded(self.best_score),
+            "best_score": _round_score(self.best_score),
             "decision": self.decision,
             "reason": self.reason,
             "simulations": round(self.simulations, 1),
         }
 
 
-def _rounded(score: float | None) -> float | None:
+def _round_score(score: float | None) -> float | None:
     return None if score is None or not np.isfinite(score) else round(float(score), 2)
 
 

@@ -90,8 +90,6 @@ def read_trials(
                     known.setdefault(path, []).append(trial)
     trials = [t for p in recordings if p not in set(held_out) for t in known.get(p, ())]
     aside = [t for p in held_out for t in known.get(p, ())]
-    if not trials and (first_error is not None and not aside):
-        raise first_error
     if not trials:
         if first_error is not None:
             raise first_error
@@ -109,17 +107,17 @@ def read_trials(
     usual = _usual_joints(trials)
     trials = _with_joints(trials, usual, notes)
     aside = _with_joints(aside, usual, notes)
-    trials, unseen = _unseen(trials, notes)
-    unseen |= _motionless(trials, unseen, notes)
-    aside, untested = _testable(aside, notes)
+    trials, unseen = _exclude_stuck_encoders(trials, notes)
+    unseen |= _find_motionless_joints(trials, unseen, notes)
+    aside, untested = _exclude_stuck_in_test(aside, notes)
     if not held_out and split is None:
         trials, aside, said = _by_count(trials)
         notes.append(said)
     elif not aside:
         notes.append("no held-out recording could be used; confidence is at most 80 %")
-    notes += _rules([*trials, *aside])
-    notes += _doubts([*trials, *aside])
-    notes += _far([*trials, *aside], structure)
+    notes += _reading_notes([*trials, *aside])
+    notes += _doubtful_data_notes([*trials, *aside])
+    notes += _notes_on_many_turns([*trials, *aside], structure)
     once = tuple(dict.fromkeys(notes))
     return TrialSet(tuple(trials), tuple(aside), once, unseen, untested)
 
@@ -191,7 +189,7 @@ def _modes(trial: Trial) -> str:
     return ", ".join(f"{joint} {mode}" for joint, mode in pairs)
 
 
-def _rules(trials: Sequence[Trial]) -> list[str]:
+def _reading_notes(trials: Sequence[Trial]) -> list[str]:
     """Decisions made while reading, one line each, with the names of the recordings."""
     found: dict[str, list[str]] = {}
     for trial in trials:
@@ -230,7 +228,9 @@ def _with_joints(trials: list[Trial], usual: Sequence[str], notes: list[str]) ->
     return whole
 
 
-def _unseen(trials: list[Trial], notes: list[str]) -> tuple[list[Trial], frozenset[str]]:
+def _exclude_stuck_encoders(
+    trials: list[Trial], notes: list[str]
+) -> tuple[list[Trial], frozenset[str]]:
     """The trials without a stuck encoder; if there are none, all trials and the stuck joints.
 
     Raises:
@@ -270,18 +270,20 @@ def _unseen(trials: list[Trial], notes: list[str]) -> tuple[list[Trial], frozens
     return trials, joints
 
 
-def _testable(aside: list[Trial], notes: list[str]) -> tuple[list[Trial], frozenset[str]]:
-    """As :func:`_unseen` for held-out trials; no trials if all of their encoders are stuck."""
+def _exclude_stuck_in_test(
+    aside: list[Trial], notes: list[str]
+) -> tuple[list[Trial], frozenset[str]]:
+    """As :func:`_exclude_stuck_encoders` for held-out trials; none if all encoders are stuck."""
     if not aside:
         return aside, frozenset()
     try:
-        return _unseen(aside, notes)
+        return _exclude_stuck_encoders(aside, notes)
     except RecordingError as error:
         notes.append(f"left out: {error}")
         return [], frozenset()
 
 
-def _motionless(
+def _find_motionless_joints(
     trials: Sequence[Trial], unseen: frozenset[str], notes: list[str]
 ) -> frozenset[str]:
     """Joints with effort commands and a constant position in all trials.
@@ -410,7 +412,7 @@ def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
             )
 
 
-def _clipped(trial: Trial) -> list[str]:
+def _notes_on_clipped_velocities(trial: Trial) -> list[str]:
     """A line for each joint whose measured velocity is constant at its largest value at times."""
     lines: list[str] = []
     if trial.velocity is None:
@@ -428,7 +430,7 @@ def _clipped(trial: Trial) -> list[str]:
     return lines
 
 
-def _far(trials: Sequence[Trial], structure: Structure) -> list[str]:
+def _notes_on_many_turns(trials: Sequence[Trial], structure: Structure) -> list[str]:
     """A line for each hinge that makes so many turns that its unit is doubtful."""
     lines = {}
     for trial in trials:
@@ -451,7 +453,7 @@ def _names(trials: Sequence[Trial]) -> str:
     return ", ".join(dict.fromkeys(t.path.name for t in trials))
 
 
-def _doubts(trials: Sequence[Trial]) -> list[str]:
+def _doubtful_data_notes(trials: Sequence[Trial]) -> list[str]:
     """A line for each kind of doubtful data and each joint, over all trials."""
     found: dict[tuple[str, str | None, str], list[str]] = {}
     for trial in trials:
@@ -463,7 +465,7 @@ def _doubts(trials: Sequence[Trial]) -> list[str]:
             found.setdefault((mark.kind, mark.joint, mark.topic or ""), []).append(
                 f"{place}: {mark.text}"
             )
-    lines = [line for trial in trials for line in _clipped(trial)]
+    lines = [line for trial in trials for line in _notes_on_clipped_velocities(trial)]
     for (kind, joint, topic), texts in found.items():
         who = " ".join(part for part in (topic, joint) if part)
         more = f", and {len(texts) - 1} similar" if len(texts) > 1 else ""

@@ -45,7 +45,7 @@ def drop_other_units(realization: Realization, trials: TrialSet, notes: list[str
         RecordingError: no recording remains to fit.
     """
     everything = (*trials.fit, *trials.held_out)
-    far = [t for t in everything if _turns_far(t, _hinges(realization, t))]
+    far = [t for t in everything if _turns_far(t, _hinge_columns(realization, t))]
     unit = _unit_of(realization, far) if far else None
     if unit is None:
         return trials
@@ -68,7 +68,7 @@ def drop_other_units(realization: Realization, trials: TrialSet, notes: list[str
     return replace(trials, fit=fit, held_out=aside)
 
 
-def _hinges(realization: Realization, trial: Trial) -> list[int]:
+def _hinge_columns(realization: Realization, trial: Trial) -> list[int]:
     """Columns of a trial that belong to hinges."""
     kind = realization.structure.joint_type
     return [i for i, j in enumerate(trial.joints) if kind.get(j) == "hinge"]
@@ -83,11 +83,11 @@ def _turns_far(trial: Trial, hinges: Sequence[int]) -> bool:
 def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     """The unit in which the prediction agrees with the trials; None if it agrees in rad."""
     scales = (1.0, *_UNITS.values())
-    angles = [_hinges(realization, t) for t in trials]
-    starts = [_beginning(t, hinges) for t, hinges in zip(trials, angles, strict=True)]
+    angles = [_hinge_columns(realization, t) for t in trials]
+    starts = [_until_first_motion(t, hinges) for t, hinges in zip(trials, angles, strict=True)]
     rows = [(t, hinges, s) for t, hinges in zip(starts, angles, strict=True) for s in scales]
     try:
-        read = replay(realization, [_scaled(*row) for row in rows])
+        read = replay(realization, [_scale_hinges(*row) for row in rows])
     except SpecError:
         return None  # the search reports a missing controller or payload
     off = np.reshape(
@@ -102,7 +102,7 @@ def _unit_of(realization: Realization, trials: Sequence[Trial]) -> str | None:
     return list(_UNITS)[best]
 
 
-def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
+def _until_first_motion(trial: Trial, hinges: Sequence[int]) -> Trial:
     """The beginning of a trial until it has moved; without a recorded velocity it starts at rest.
 
     A velocity from positions carries their noise, which grows under effort commands.
@@ -113,7 +113,7 @@ def _beginning(trial: Trial, hinges: Sequence[int]) -> Trial:
     return trial.until(until)
 
 
-def _scaled(trial: Trial, hinges: Iterable[int], scale: float) -> Trial:
+def _scale_hinges(trial: Trial, hinges: Iterable[int], scale: float) -> Trial:
     """The trial with states and commands of hinges times ``scale``."""
     names = {trial.joints[i] for i in hinges}
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hidden_state import HiddenState
-from pytest_twin.diagnosis.smoothing import SMOOTH, derivatives, smooth_state
+from pytest_twin.diagnosis.smoothing import SMOOTHING_WIDTH, derivatives, smooth_state
 from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.effects.contact_geoms import ContactGeoms, is_far_from_surfaces
 from pytest_twin.effects.memory_warmup import WARM_UP_TIME
@@ -83,7 +83,7 @@ def segments_of(
         SpecError: the model lacks the trial's controller or payload.
     """
     recorded = replace(
-        _recorded(realization, trial, index, joints, cold_fraction),
+        _whole_trial_segment(realization, trial, index, joints, cold_fraction),
         has_friction_creep=has_friction_creep,
     )
     first = _first_commanded(recorded) if cutting.commanded else 0
@@ -94,16 +94,16 @@ def segments_of(
         clear &= recorded.time >= WARM_UP_TIME
     if cutting.window is None and recorded.mode != "effort":
         if after_hole:
-            return _windows(recorded, joints, clear, trial.duration, whole=True)
-        return [_whole(recorded, joints, first, cutting.estimates_velocity)]
+            return _cut_windows(recorded, joints, clear, trial.duration, whole=True)
+        return [_segment_to_end(recorded, joints, first, cutting.estimates_velocity)]
     if cutting.contact is not None:
         ids = np.array([recorded.model.joint(j).id for j in joints])
         clear &= is_far_from_surfaces(recorded.model, ids, cutting.contact, recorded.position)
     length = cutting.window or WINDOW
-    return _windows(recorded, joints, clear, length, whole=cutting.contact is None)
+    return _cut_windows(recorded, joints, clear, length, whole=cutting.contact is None)
 
 
-def _recorded(
+def _whole_trial_segment(
     realization: Realization, trial: Trial, index: int, joints: Sequence[str], cold_fraction: float
 ) -> Segment:
     """The whole trial as one segment that starts at rest, in the model's joint coordinates."""
@@ -154,7 +154,7 @@ def _first_commanded(recorded: Segment) -> int:
     )
 
 
-def _around(
+def _hidden_state_along(
     recorded: Segment, joints: Sequence[str], position: FloatArray, velocity: FloatArray
 ) -> HiddenState:
     """The unmeasured state of the model along a motion."""
@@ -168,7 +168,7 @@ def _around(
     )
 
 
-def _whole(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -> Segment:
+def _segment_to_end(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -> Segment:
     """The segment from sample ``first`` to the last."""
     time, position = recorded.time, recorded.position
     start = float(time[first]) if first else 0.0
@@ -176,8 +176,8 @@ def _whole(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -
     if recorded.velocity is not None:
         velocity = np.nan_to_num(recorded.velocity[first])
     elif moving:
-        velocity = smooth_state(time[first:], position[first:], start, 2.0 * SMOOTH)[1]
-    around = _around(recorded, joints, position, np.zeros_like(position))
+        velocity = smooth_state(time[first:], position[first:], start, 2.0 * SMOOTHING_WIDTH)[1]
+    around = _hidden_state_along(recorded, joints, position, np.zeros_like(position))
     (unrecorded,) = around.at([start], [(position[first], velocity)])
     return recorded.part(
         np.arange(len(time)) >= first, start=start, initial_position=position[first],
@@ -185,7 +185,7 @@ def _whole(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -
     )  # fmt: skip
 
 
-def _windows(
+def _cut_windows(
     recorded: Segment,
     joints: Sequence[str],
     clear: NDArray[np.bool_],
@@ -215,7 +215,9 @@ def _windows(
     if whole and not spans:
         spans = [(float(time[clear][0]), clear)]
     states = [smooth_state(time, position, start, width) for start, _ in spans]
-    hidden = _around(recorded, joints, smooth, speed).at([start for start, _ in spans], states)
+    hidden = _hidden_state_along(recorded, joints, smooth, speed).at(
+        [start for start, _ in spans], states
+    )
     return [
         recorded.part(
             inside, start=start, initial_position=q, initial_velocity=v,

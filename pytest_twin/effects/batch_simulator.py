@@ -62,8 +62,8 @@ Motion = tuple[FloatArray, FloatArray, FloatArray]
 class _StepCount:
     """Number of simulated steps, and of those that came from the cache."""
 
-    stepped: int = 0
-    repeated: int = 0
+    simulated_steps: int = 0
+    cached_steps: int = 0
 
 
 class BatchSimulator:
@@ -110,14 +110,14 @@ class BatchSimulator:
         self._commands = CommandsOverSteps(self.segments, self.timestep, idle, *followable)
 
     @property
-    def stepped(self) -> int:
+    def simulated_steps(self) -> int:
         """Simulated steps of all rows so far, those from the cache included."""
-        return self._count.stepped
+        return self._count.simulated_steps
 
     @property
-    def repeated(self) -> int:
-        """Steps of :attr:`stepped` that came from the cache."""
-        return self._count.repeated
+    def cached_steps(self) -> int:
+        """Steps of :attr:`simulated_steps` that came from the cache."""
+        return self._count.cached_steps
 
     def with_motor_shifts(self, shifts: Mapping[int, FloatArray]) -> BatchSimulator:
         """The same simulator with other initial motor positions; cache and counts are shared.
@@ -144,7 +144,8 @@ class BatchSimulator:
     def simulate(self, rows: NDArray[np.int64], values: EffectValues) -> list[Predicted]:
         """Simulate segment ``rows[i]`` under row ``i`` of ``values``, for every i.
 
-        Rows that were simulated before are read from the cache; :attr:`stepped` counts them too.
+        Rows that were simulated before are read from the cache; :attr:`simulated_steps` counts them
+        too.
 
         Args:
             rows: (rows,) index of each row's segment.
@@ -159,8 +160,8 @@ class BatchSimulator:
         first = {key: i for i, key in reversed(list(enumerate(keys)))}
         new = np.array(sorted(first[k] for k, known in found.items() if known is None), dtype=int)
         steps = self.steps[rows]
-        self._count.stepped += int(steps.sum())
-        self._count.repeated += int(steps.sum() - steps[new].sum())
+        self._count.simulated_steps += int(steps.sum())
+        self._count.cached_steps += int(steps.sum() - steps[new].sum())
         if new.size:
             some = {e: {n: v[new] for n, v in vs.items()} for e, vs in values.items()}
             for i, predicted in zip(new, self._simulate_new(rows[new], some), strict=True):
@@ -290,11 +291,11 @@ class BatchSimulator:
         return self.models.prepare(rows, effects, threads_here(self.threads))
 
     def count(self, rows: NDArray[np.int64], *, repeated: bool = False) -> None:
-        """Add the steps of rows to :attr:`stepped`, and to :attr:`repeated` on request."""
+        """Count the steps of rows as simulated, and on request as cached."""
         steps = int(self.steps[rows].sum())
-        self._count.stepped += steps
+        self._count.simulated_steps += steps
         if repeated:
-            self._count.repeated += steps
+            self._count.cached_steps += steps
 
     def commands(
         self,

@@ -35,10 +35,10 @@ def as_json(effects: Mapping[str, Effect]) -> dict[str, Any]:
             "command_modes": list(effect.modes),
             "parameters": {
                 p.reported_name: {
-                    "meaning": _meaning(p),
+                    "meaning": _describe_parameter(p),
                     "unit": {mode: p.unit("hinge", mode) for mode in MODES},
                     "unit_of_a_slide": {mode: p.unit("slide", mode) for mode in MODES},
-                    "absent_at": _absent(p) or None,
+                    "absent_at": _neutral_value(p) or None,
                     "range": _range(p),
                 }
                 for p in effect.parameters
@@ -66,7 +66,8 @@ def card(effect: Effect) -> str:
             (
                 (_names(same), *shown)
                 for shown, same in itertools.groupby(
-                    effect.parameters, lambda p: (_meaning(p), _unit(p), _absent(p), _range(p))
+                    effect.parameters,
+                    lambda p: (_describe_parameter(p), _unit(p), _neutral_value(p), _range(p)),
                 )
             ),
         ),
@@ -91,7 +92,7 @@ def _summary(effect: Effect) -> str:
     return (inspect.getdoc(type(effect)) or "").split("\n\n")[0].replace("\n", " ")
 
 
-def _meaning(parameter: Parameter) -> str:
+def _describe_parameter(parameter: Parameter) -> str:
     meaning = parameter.meaning or parameter.reported_name.replace("_", " ")
     if parameter.relation == "relative":
         return f"relative error of: {meaning}"
@@ -99,18 +100,18 @@ def _meaning(parameter: Parameter) -> str:
 
 
 def _unit(parameter: Parameter) -> str:
-    units = {mode: _both(parameter, mode) for mode in MODES}
+    units = {mode: _units_of_joint_types(parameter, mode) for mode in MODES}
     if len(set(units.values())) == 1:
         return units[MODES[0]]
     return _listed([f"{unit} ({mode})" for mode, unit in units.items()])
 
 
-def _both(parameter: Parameter, servo: str) -> str:
+def _units_of_joint_types(parameter: Parameter, servo: str) -> str:
     hinge, slide = (parameter.unit(joint, servo) for joint in ("hinge", "slide"))
     return f"`{hinge}`" if hinge == slide else f"`{hinge}` or `{slide}`"
 
 
-def _absent(parameter: Parameter) -> str:
+def _neutral_value(parameter: Parameter) -> str:
     """Return the neutral value; empty if the parameter only shapes the effect."""
     if parameter.neutral is None:
         return ""

@@ -12,7 +12,7 @@ from typing import Any
 
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.patched.frequency import frequency_responses
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet
@@ -52,7 +52,7 @@ def write_diagnosis(
     Raises:
         TwinError: the model or the recordings cannot be used, or the folder cannot be written.
     """
-    inherited = patched_of(realization)
+    inherited = read_patched_model(realization)
     with suppress_mujoco_warnings():
         found = diagnose(
             realization, trials,

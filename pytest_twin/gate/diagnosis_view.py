@@ -13,15 +13,15 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.diagnose import Diagnosis
-from pytest_twin.diagnosis.locate import motions, regimes
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.locate import list_regimes, smooth_motions
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects import catalogue
 from pytest_twin.report.diagnosis_view import DiagnosisView, JointView, Regime
 
 
 def view_of(
-    found: Diagnosis, document: Mapping[str, Any], patched: Patched, model: str
+    found: Diagnosis, document: Mapping[str, Any], patched: PatchedModel, model: str
 ) -> DiagnosisView:
     """Return the content of the report.
 
@@ -46,7 +46,7 @@ def view_of(
         step_left=tested.problem.step_left,
         native=tuple(f"{_at(e)}: {e.written}" for e in patched.effects if e.written),
         outside_mjcf=tuple(_at(e) for e in patched.outside_mjcf),
-        tried=found.selected.tried,
+        tried=found.selected.candidate_count,
         laws={id: (law.law, law.source) for id, law in catalogue().items()},
         at_floor=VERDICT.at_floor,
         share_left=VERDICT.left,
@@ -64,12 +64,14 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
     tested = found.tested
     problem, prepared = tested.prepared.problem, tested.prepared
     everything = (*tested.trials.fit, *tested.trials.held_out)
-    every, shown = problem.everywhere, problem.tested
+    every, shown = problem.all_segments, problem.tested_segments
     lengths = problem.lengths(every)
     starts = np.concatenate([[0], np.cumsum(lengths)])
-    inside = problem.in_test
+    inside = problem.is_in_test
     paths = [
-        m for m, t in zip(motions(prepared, everything), np.isin(every, shown), strict=True) if t
+        m
+        for m, t in zip(smooth_motions(prepared, everything), np.isin(every, shown), strict=True)
+        if t
     ]
     owners = sorted({prepared.segment_trial[s] for s in shown})
     views = []
@@ -121,12 +123,12 @@ def joint_views(found: Diagnosis) -> tuple[JointView, ...]:
                 interval=float(np.median(np.diff(segments[0].time))),
                 regimes=tuple(
                     Regime(text, _rms(left[0][mask]), _rms(left[1][mask]), float(mask.mean()))
-                    for text, mask in regimes(paths, j, error.unit)
+                    for text, mask in list_regimes(paths, j, error.unit)
                     if 0.02 < mask.mean() < 0.9
                 ),
                 windows=tuple(
                     (f.effect, float(a), float(b))
-                    for f in found.explained.findings
+                    for f in found.explanation.findings
                     if f.joint in (None, joint)
                     for a, b in f.where.windows.get(name, ())
                 ),

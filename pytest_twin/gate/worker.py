@@ -63,13 +63,15 @@ def quick_diagnosis(twin: str, spec: str, realization: str, failed: list[str]) -
     Raises:
         TwinError: the recording or the model cannot be used.
     """
-    from pytest_twin.diagnosis.patched.model import patched_of
+    from pytest_twin.diagnosis.patched.model import read_patched_model
     from pytest_twin.diagnosis.quick_diagnosis import quick_diagnosis as diagnose_quickly
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
     golden, loaded, check = _open(Path(twin), Path(spec), realization)
     with suppress_mujoco_warnings():
-        seen = diagnose_quickly(loaded, check.trial(golden, loaded), patched_of(loaded), failed)
+        seen = diagnose_quickly(
+            loaded, check.trial(golden, loaded), read_patched_model(loaded), failed
+        )
     return {"line": quick_diagnosis_in_words(seen)}
 
 

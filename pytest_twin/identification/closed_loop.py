@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import TwinError
@@ -299,7 +299,7 @@ def _positions(
     """Return the joints of each trial and their simulated positions, with all effects."""
     from pytest_twin.replay import replay
 
-    patched = patched_of(realization)
+    patched = read_patched_model(realization)
     if patched is not None:
         predicted = replay_patched(realization, patched, trials)
         return [(patched.joints, one.position) for one in predicted]

@@ -16,8 +16,8 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Term
-from pytest_twin.diagnosis.intervals import Spread
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.intervals import ParameterUncertainty
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.formats.record_fields import Z95
@@ -153,7 +153,7 @@ def fit_drives(
     )
     if not recordings.has_torques:
         trials = _without_efforts(trials)
-    inherited = patched_of(fitted)
+    inherited = read_patched_model(fitted)
     with suppress_mujoco_warnings():
         found = identify_simulation(
             fitted, trials,
@@ -245,7 +245,9 @@ def changed_attributes(before: mujoco.MjModel, after: mujoco.MjModel) -> Patches
     return {family: own for family, own in found.items() if own}
 
 
-def _widen_by_friction(found: SimulationResult, recordings: DriveRecordings) -> Spread:
+def _widen_by_friction(
+    found: SimulationResult, recordings: DriveRecordings
+) -> ParameterUncertainty:
     """Return the uncertainty of the effects with that of the friction that was given to their fit.
 
     An error of the friction changes the effects by the ratio of the sensitivities (least squares).
@@ -277,12 +279,12 @@ def _widen_by_friction(found: SimulationResult, recordings: DriveRecordings) -> 
     rows = [free[term] for term in terms]
     given = recordings.covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
     change = np.linalg.pinv(curvature) @ across
-    added = np.zeros_like(spread.joint)
+    added = np.zeros_like(spread.conservative_covariance)
     which = np.flatnonzero(found.hypothesis.is_estimated)
     added[np.ix_(which, which)] = change @ given @ change.T
     return replace(
         spread,
-        joint=spread.joint + added,
+        conservative_covariance=spread.conservative_covariance + added,
         half_width=np.hypot(spread.half_width, Z95 * np.sqrt(np.diag(added))),
     )
 

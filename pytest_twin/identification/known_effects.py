@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched, patched_of
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel, read_patched_model
 from pytest_twin.diagnosis.patched.replay import fixed_values
 from pytest_twin.diagnosis.temperature import ColdFractions, WithMetadata, cold_fraction_of_trial
 from pytest_twin.effects import catalogue
@@ -130,13 +130,13 @@ def known_efforts(realization: Realization, joints: Sequence[str]) -> KnownEffor
     return KnownEfforts(realization, tuple(joints), patched.effects, patched.cold_fractions)
 
 
-def kept_effects(realization: Realization) -> Patched | None:
+def kept_effects(realization: Realization) -> PatchedModel | None:
     """Return the effects that the fitted model keeps beside its MJCF; None for a plain model.
 
     Raises:
         SpecError: ``effects.json`` of the model cannot be used.
     """
-    patched = patched_of(realization)
+    patched = read_patched_model(realization)
     if patched is None:
         return None
     kept = tuple(
@@ -149,7 +149,7 @@ def kept_effects(realization: Realization) -> Patched | None:
 
 def notes_on_effects(realization: Realization) -> list[str]:
     """Return what becomes of the effects beside the MJCF of the given model, one line each."""
-    patched, kept = patched_of(realization), kept_effects(realization)
+    patched, kept = read_patched_model(realization), kept_effects(realization)
     if patched is None or kept is None:
         return []
     left = [one for one in patched.outside_mjcf if one not in kept.effects]

@@ -227,7 +227,7 @@ def _from_commands(
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
     """Identify without efforts, by closed-loop simulation of the recorded commands."""
-    from pytest_twin.diagnosis.patched.model import patched_of
+    from pytest_twin.diagnosis.patched.model import read_patched_model
     from pytest_twin.diagnosis.patched.write import RecordingSettings, write_realization
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.identification.simulation.document import simulation_document
@@ -235,7 +235,7 @@ def _from_commands(
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
     trials = read_trials(recordings, held_out, topics, realization.structure, options)
-    inherited = patched_of(realization)
+    inherited = read_patched_model(realization)
     with suppress_mujoco_warnings():
         result = identify_simulation(
             realization, trials,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.recording import Recording
@@ -54,7 +54,7 @@ def simulate_positions(
         SimulationError: a simulation diverged.
         TwinError: a joint, controller or payload that the model lacks.
     """
-    patched = patched_of(realization)
+    patched = read_patched_model(realization)
     if patched is not None:
         predicted = replay_patched(realization, patched, trials)
         return [dict(zip(patched.joints, p.position.T, strict=True)) for p in predicted]

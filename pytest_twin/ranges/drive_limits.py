@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.effects import catalogue
 from pytest_twin.ranges.distribution import Coordinate, Distribution, UpperLimit
 from pytest_twin.realization import Realization
@@ -37,7 +37,7 @@ class _Part:
 def with_passive_joints(
     distribution: Distribution,
     realization: Realization,
-    patched: Patched | None,
+    patched: PatchedModel | None,
     notes: list[str],
 ) -> Distribution:
     """Return the distribution without joints whose back-EMF exceeds their damping.
@@ -80,7 +80,7 @@ def with_passive_joints(
     return replace(distribution, coordinates=tuple(coordinates))
 
 
-def with_bounded_sums(distribution: Distribution, patched: Patched | None) -> Distribution:
+def with_bounded_sums(distribution: Distribution, patched: PatchedModel | None) -> Distribution:
     """Return the distribution in which parameters that a law adds up keep a bound together.
 
     The bound is that of the parameter to which the other one is added.
@@ -113,7 +113,7 @@ def with_bounded_sums(distribution: Distribution, patched: Patched | None) -> Di
     return replace(distribution, coordinates=tuple(coordinates))
 
 
-def _parts(patched: Patched | None) -> Iterator[_Part]:
+def _parts(patched: PatchedModel | None) -> Iterator[_Part]:
     """Yield the parts of a joint's damping among the twin's effects."""
     for one in () if patched is None else patched.effects:
         for law in catalogue()[one.effect].parameters:
@@ -122,7 +122,7 @@ def _parts(patched: Patched | None) -> Iterator[_Part]:
 
 
 def _damping(
-    realization: Realization, patched: Patched | None, joint: str
+    realization: Realization, patched: PatchedModel | None, joint: str
 ) -> tuple[float, float, bool]:
     """Return damping of the model, the addition by effects, and whether the model contains it."""
     own = float(realization.model.dof_damping[realization.joint_dof_index(joint)])

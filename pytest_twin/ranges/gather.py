@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.errors import SpecError
 from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.calibrated_zeros import zeros_of
@@ -47,7 +47,7 @@ class UncertainParameters:
 
 
 def collect_uncertain_parameters(
-    twin: Twin, realization: Realization, patched: Patched | None
+    twin: Twin, realization: Realization, patched: PatchedModel | None
 ) -> UncertainParameters:
     """Collect uncertain parameters from the records, trials and tolerances of a twin.
 
@@ -89,7 +89,7 @@ def collect_uncertain_parameters(
 
 
 def _of_records(
-    twin: Twin, realization: Realization, patched: Patched | None
+    twin: Twin, realization: Realization, patched: PatchedModel | None
 ) -> tuple[list[RecordCoordinates], list[dict[str, str]]]:
     """Collect each valid record, the newest first; parameters of later records take precedence."""
     superseded = {name for entry in twin.calibrations for name in entry.supersedes}

@@ -11,7 +11,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.effect_parameters import effect_parameter
 from pytest_twin.budget.identification import columns_of, regressor_of
 from pytest_twin.budget.propagate import root_of
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.effects import catalogue
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.identification_record import IdentificationRecord
@@ -55,7 +55,7 @@ class RecordCoordinates:
 
 
 def coordinates_of_record(
-    record: IdentificationRecord, realization: Realization, patched: Patched | None
+    record: IdentificationRecord, realization: Realization, patched: PatchedModel | None
 ) -> RecordCoordinates:
     """Return the coordinates of an identification, with means from the twin's model.
 
@@ -130,7 +130,7 @@ def _coordinate(
     column: int | None,
     regressor: Regressor,
     realization: Realization,
-    patched: Patched | None,
+    patched: PatchedModel | None,
     found: RecordCoordinates,
 ) -> Coordinate | None:
     """Return the coordinate of a drive parameter or effect; None if it is not varied."""

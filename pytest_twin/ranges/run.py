@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_twin import __version__
 from pytest_twin.diagnosis.noise import sensor_noise
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.check import FEWEST_ROBOTS, assess, plot_data, predict_envelopes
 from pytest_twin.ranges.distribution import Distribution
@@ -99,7 +99,7 @@ def ranges(
 ) -> dict[str, Any]:
     """Return the randomization ranges of a loaded twin, and their check."""
     given = None if request.against is None else (request.against, *read_ranges(request.against))
-    patched = patched_of(realization)
+    patched = read_patched_model(realization)
     share = request.share or twin.ranges.share
     count = request.draws or twin.ranges.draws
     found = collect_uncertain_parameters(twin, realization, patched)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
 from pytest_twin.diagnosis.patched.replay import fixed_values, whole_segment
-from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
+from pytest_twin.diagnosis.problem import REFINE, add_step_error, step_error
 from pytest_twin.diagnosis.temperature import cold_fraction_of_trial
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.actuation import TorqueSaturation
@@ -78,7 +78,7 @@ class VariedRobots:
     def __init__(
         self,
         realization: Realization,
-        patched: Patched | None,
+        patched: PatchedModel | None,
         coordinates: Sequence[Coordinate],
         bodies: Sequence[Body],
         memory_bytes: int,
@@ -190,7 +190,7 @@ class VariedRobots:
             segments = [replace(segment, model=model) for model in models]
             simulator = BatchSimulator(segments, joints, refine=refine)
             predicted = simulator.simulate(np.arange(len(own)), self._values(own, joints))
-            self.steps += simulator.stepped
+            self.steps += simulator.simulated_steps
             yield rows, predicted
 
     def _correction(self, segment: Segment, joints: Sequence[str]) -> FloatArray:
@@ -206,7 +206,7 @@ class VariedRobots:
         )
         if not (np.isfinite(fine.position).all() and np.isfinite(coarse.position).all()):
             return np.zeros_like(segment.position)
-        return corrected(coarse, step_error(coarse, fine)).position - coarse.position
+        return add_step_error(coarse, step_error(coarse, fine)).position - coarse.position
 
     def _models(self, model: mujoco.MjModel, draws: FloatArray) -> list[mujoco.MjModel]:
         """Return a model for each robot; the batch computes dependent constants."""

@@ -44,14 +44,14 @@ def _in_words(found: LikelyEffect) -> str:
         f"{meaning_of(effect, name)} about {_approximate_value(value, unit)}"
         for name, value, unit in shown[:_MOST_PARAMETERS]
     )
-    of = f" of {join_words(found.of)}" if found.of else ""
-    removes = f"would remove {math.floor(100 * found.removed)} % of the squared error{of}"
-    if found.rivals:
-        places = [f"{_place_name(found.place)} ({values})", *map(_place_name, found.rivals)]
+    of = f" of {join_words(found.explained_joints)}" if found.explained_joints else ""
+    removes = f"would remove {math.floor(100 * found.removed_share)} % of the squared error{of}"
+    if found.alternatives:
+        places = [f"{_place_name(found.place)} ({values})", *map(_place_name, found.alternatives)]
         return f"could be {join_words(places, 'or')}; correcting the first {removes}"
     return (
         f"probably {_place_name(found.place)}: {values}; "
-        f"confidence {math.floor(100 * found.share)} %; correcting it {removes}"
+        f"confidence {math.floor(100 * found.posterior_share)} %; correcting it {removes}"
     )
 
 

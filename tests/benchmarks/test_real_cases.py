@@ -23,7 +23,7 @@ from real_effects import CHOICES, DRAWS
 from real_models import MACHINES, Machine
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.trial import make_trials
@@ -83,7 +83,7 @@ def test_the_written_model_has_the_same_motion_in_the_package_and_in_mujoco(
     twin = tmp_path / "twin.yaml"
     loaded = load_model(twin if twin.exists() else tmp_path / "model.xml")
     trial = make_trials(read_recording(tmp_path / "r.mcap"), loaded.realization.structure)[0]
-    patched = loaded.patched or Patched(machine.joints)
+    patched = loaded.patched or PatchedModel(machine.joints)
     theirs = replay_patched(loaded.realization, patched, [trial], threads=1)[0].position
     monkeypatch.setattr(real_replay, "WINDOW", 100.0)
     bias = machine.value("encoder_bias", "bias")

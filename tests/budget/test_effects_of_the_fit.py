@@ -20,7 +20,7 @@ from pytest_twin.budget.changed_replays import Change, ChangedReplays
 from pytest_twin.budget.effect_parameters import effect_parameter, with_values
 from pytest_twin.budget.run import budget_of_file
 from pytest_twin.commands.prediction import predict
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.realization import Realization, load
 from pytest_twin.replay import replay
 from pytest_twin.trial import Trial, make_trials
@@ -70,7 +70,7 @@ def test_the_nominal_replay_is_that_of_the_command_replay(
 ) -> None:
     effects = [one for one in (DELAY, STRIBECK) if one["joint"] in joints]
     robot, trial = arm_with(tmp_path, effects, joints)
-    (expected,), _ = predict(robot, patched_of(robot), [trial], lambda done: None)
+    (expected,), _ = predict(robot, read_patched_model(robot), [trial], lambda done: None)
     nominal = ChangedReplays(robot, trial).nominal.position
     columns = [trial.joints.index(joint) for joint in joints]
     assert expected.position is not None
@@ -208,7 +208,7 @@ def test_drawn_parameters_are_those_that_a_robot_can_have(tmp_path: Path) -> Non
         "values": {"stiffness_error": -0.9, "damping_error": 0.0},
     }  # fmt: skip
     robot, _ = arm_with(tmp_path, [STRIBECK, gain])
-    patched = patched_of(robot)
+    patched = read_patched_model(robot)
     assert patched is not None
     stiction, stiffness = (
         effect_parameter(name, robot, patched)

@@ -67,9 +67,9 @@ def test_an_invalid_time_limit_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: str
 ) -> None:
     words = ["diagnose", "model.xml", "a.mcap", f"--seconds={seconds}", "--out", str(tmp_path)]
-    with pytest.raises(SystemExit) as refused:
+    with pytest.raises(SystemExit) as refused_effects:
         cli.main(words)
-    assert refused.value.code == 2
+    assert refused_effects.value.code == 2
     assert f"got '{seconds}', expected a time in s, 0 to 14400" in capsys.readouterr().err
 
 

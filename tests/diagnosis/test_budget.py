@@ -9,13 +9,13 @@ import pytest
 from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.alternative_sets import with_limited_confidence
-from pytest_twin.diagnosis.budget import COMPARED, RESERVED, Budget
-from pytest_twin.diagnosis.deadline import OutOfTime, check
+from pytest_twin.diagnosis.alternative_sets import limit_confidence
+from pytest_twin.diagnosis.budget import COMPARISON_SHARE, RESERVED_SHARE, Budget
+from pytest_twin.diagnosis.deadline import OutOfTime, check_deadline
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.prepare import prepare
-from pytest_twin.diagnosis.run import Run, not_tried
+from pytest_twin.diagnosis.run import Run, describe_skipped_searches
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trace import MOST_STEPS, Step, Trace
@@ -62,33 +62,33 @@ def test_a_stopped_search_returns_the_best_result_so_far(
     assert set(found.errors) == {"left"}
     (note,) = [n for n in found.notes if n.startswith("the search ended early")]
     assert "because it was stopped. Not tried: " in note
-    assert bool(found.explained.findings) is bool(accepted)
-    assert all(f.confidence <= 0.8 for f in found.explained.findings)
-    assert all(f.parameters and f.held_out_gain > 0.5 for f in found.explained.findings)
+    assert bool(found.explanation.findings) is bool(accepted)
+    assert all(f.confidence <= 0.8 for f in found.explanation.findings)
+    assert all(f.parameters and f.held_out_gain > 0.5 for f in found.explanation.findings)
 
 
 def test_the_search_ends_when_a_fifth_of_the_time_remains() -> None:
     clock = Clock()
     budget = Budget(seconds=100.0, clock=clock)
-    clock.now = 100.0 * (1.0 - RESERVED) - 2.0
+    clock.now = 100.0 * (1.0 - RESERVED_SHARE) - 2.0
     with budget.searching():
-        check()
+        check_deadline()
         clock.now += 5.0
         with pytest.raises(OutOfTime):
-            check()
+            check_deadline()
         with budget.reserved():
-            check()
-    check()
+            check_deadline()
+    check_deadline()
 
 
 def test_the_search_leaves_time_for_the_comparison_with_other_sets_of_effects() -> None:
     clock = Clock()
     budget = Budget(seconds=100.0, clock=clock)
-    clock.now = 100.0 * (1.0 - RESERVED - COMPARED) + 2.0
-    with budget.searching(COMPARED), pytest.raises(OutOfTime):
-        check()
+    clock.now = 100.0 * (1.0 - RESERVED_SHARE - COMPARISON_SHARE) + 2.0
+    with budget.searching(COMPARISON_SHARE), pytest.raises(OutOfTime):
+        check_deadline()
     with budget.searching():
-        check()
+        check_deadline()
     assert budget.was_short_of_time
 
 
@@ -127,7 +127,7 @@ def test_all_searches_share_one_limit_of_simulations(
         "a second search must not have its own budget"
     )
     assert run.attempt("more", lambda: "more", "the best so far") == "the best so far"
-    (note,) = not_tried(run)
+    (note,) = describe_skipped_searches(run)
     assert "its 20 simulations of all data were used. Not tried: more" in note
 
 
@@ -139,7 +139,7 @@ def test_effects_of_a_set_that_was_not_compared_with_others_have_at_most_80_perc
     found = search(prepared, trials, EffectSelection(prepared.problem, Run()))
     (term,) = found.selected.best.hypothesis.terms
     assert found.selected.confidence[term] > 0.99
-    unsure = with_limited_confidence(found)
+    unsure = limit_confidence(found)
     assert unsure.selected.confidence == {term: 0.8}
     assert unsure.selected.best is found.selected.best
 
@@ -148,7 +148,7 @@ def test_the_result_contains_the_number_of_simulations_and_the_search_trace(
     with_friction: tuple[Realization, TrialSet],
 ) -> None:
     found = diagnose(*with_friction, threads=1)
-    assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
+    assert [f.effect for f in found.explanation.findings] == ["viscous_friction"]
     result = found.to_json(realization="realization/")
     assert 10.0 < result["cost"]["simulations"] < 1200.0
     steps = result["search_trace"]["steps"]

@@ -7,7 +7,7 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.fit import FittedModel, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
@@ -77,7 +77,7 @@ def test_first_steps_are_long_in_directions_that_windows_hardly_determine() -> N
     seen = rng.standard_normal((4000, 1))
     jacobian = np.stack([seen, seen, 0.0 * seen], axis=2)
     residual, floor = 0.02 * rng.standard_normal((4000, 1)), np.array([0.001])
-    steps = initial_covariance_root(Fitted(hypothesis, residual, jacobian, 0.0), floor)
+    steps = initial_covariance_root(FittedModel(hypothesis, residual, jacobian, 0.0), floor)
     draws = steps @ rng.standard_normal((3, 20000))
     total, difference, unseen = draws[0] + draws[1], draws[0] - draws[1], draws[2]
     # Three parameters share half of the residual, 0.01; one direction is visible: 0.01 / sqrt(3).

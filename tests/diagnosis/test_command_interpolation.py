@@ -10,18 +10,18 @@ import pytest
 from recorded_pendulum import Reality, cell
 
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
+from pytest_twin.diagnosis.findings import Estimate, Explanation, Finding
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.signal_meaning import determine_signals, with_doubt
-from pytest_twin.diagnosis.signal_meaning.command_between import (
+from pytest_twin.diagnosis.signal_meaning import determine_signals, with_interpolation_uncertainty
+from pytest_twin.diagnosis.signal_meaning.command_interpolation import (
     AssumptionResiduals,
-    Between,
-    decide,
+    CommandInterpolation,
+    decide_interpolation,
 )
 from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
-from pytest_twin.diagnosis.signal_meaning.reconsidered import explains_as_much
+from pytest_twin.diagnosis.signal_meaning.interpolation_after_search import explains_as_much
 from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals
 from pytest_twin.diagnosis.signal_meaning.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
@@ -29,7 +29,9 @@ from pytest_twin.diagnosis.trials import TrialSet, read_trials
 NOISE = np.array([1e-4])
 
 
-def detected(folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3)) -> Between:
+def detected(
+    folder: Path, reality: Reality, seeds: tuple[int, ...] = (2, 3)
+) -> CommandInterpolation:
     """The interpolation that is detected in recordings of a simulated pendulum."""
     model, recordings = cell(folder / "cell", reality, seeds)
     loaded = load_model(find_model(model))
@@ -54,7 +56,7 @@ def test_interpolated_commands_are_detected_despite_other_model_errors(
     found = detected(tmp_path, reality)
     assert found.fact.value == "interpolated", found.fact.evidence
     assert found.fact.confidence > 0.95
-    assert found.later("held") == (0.0, 0.0)
+    assert found.delay_change("held") == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -89,31 +91,37 @@ def residual_of(
     )
 
 
-def decided(**each: AssumptionResiduals) -> Between:
-    return decide(each, [1000, 1000], [0, 1], NOISE, 0.004)  # type: ignore[arg-type]
+def decision_of(**each: AssumptionResiduals) -> CommandInterpolation:
+    return decide_interpolation(each, [1000, 1000], [0, 1], NOISE, 0.004)  # type: ignore[arg-type]
 
 
 def test_two_assumptions_with_equal_residuals_give_no_result() -> None:
-    found = decided(held=residual_of(1.0, nominal=9.0), interpolated=residual_of(1.02, nominal=9.0))
+    found = decision_of(
+        held=residual_of(1.0, nominal=9.0), interpolated=residual_of(1.02, nominal=9.0)
+    )
     assert found.fact.value is None
     assert found.fact.confidence == 0.0
     assert set(found.possible) == {"held", "interpolated"}
-    assert found.later("held") == (0.0, 0.002)
+    assert found.delay_change("held") == (0.0, 0.002)
 
 
 def test_the_assumption_without_model_error_is_selected_if_residuals_are_equal() -> None:
-    found = decided(held=residual_of(1.0, nominal=1.05), interpolated=residual_of(1.0, nominal=9.0))
+    found = decision_of(
+        held=residual_of(1.0, nominal=1.05), interpolated=residual_of(1.0, nominal=9.0)
+    )
     assert (found.fact.value, found.fact.confidence) == ("held", 0.9)
 
 
 def test_an_ordinary_delay_of_the_servo_may_hide_a_small_difference() -> None:
-    found = decided(held=residual_of(1.0, nominal=1.2), interpolated=residual_of(1.0, nominal=3.5))
+    found = decision_of(
+        held=residual_of(1.0, nominal=1.2), interpolated=residual_of(1.0, nominal=3.5)
+    )
     assert found.fact.value is None
 
 
 def test_an_open_question_is_left_at_moving_setpoints_only_if_the_model_is_closer() -> None:
     def assumed(held: float, interpolated: float) -> str:
-        return decided(
+        return decision_of(
             held=residual_of(5.0, nominal=held), interpolated=residual_of(5.0, nominal=interpolated)
         ).assumed
 
@@ -123,7 +131,7 @@ def test_an_open_question_is_left_at_moving_setpoints_only_if_the_model_is_close
 
 
 def test_an_open_question_between_other_assumptions_leaves_commands_as_held() -> None:
-    found = decided(
+    found = decision_of(
         held=residual_of(60.0, nominal=1.1), interpolated=residual_of(20.0, nominal=1.8),
         ramped=residual_of(22.0, nominal=0.6),
     )  # fmt: skip
@@ -162,12 +170,12 @@ def two_joints(first_nominal: float, second_nominal: float) -> AssumptionResidua
 
 
 def test_a_joint_with_an_exact_model_decides_for_all_joints() -> None:
-    found = decide(
+    found = decide_interpolation(
         {"held": two_joints(1.0, 50.0), "interpolated": two_joints(9.0, 60.0)},
         [1000, 1000], [0, 1], np.array([1e-4, 1e-4]), 0.01,
     )  # fmt: skip
     assert found.fact.value == "held"
-    differing = decide(
+    differing = decide_interpolation(
         {"held": two_joints(1.0, 50.0), "interpolated": two_joints(9.0, 1.0)},
         [1000, 1000], [0, 1], np.array([1e-4, 1e-4]), 0.01,
     )  # fmt: skip
@@ -178,47 +186,53 @@ def test_recordings_that_contradict_each_other_give_no_result() -> None:
     best, other = residual_of(1.0, nominal=9.0), residual_of(3.0, nominal=9.0)
     best.residual[1000:] *= 1.2
     other.residual[1000:] /= 3.0
-    assert decided(interpolated=best, held=other).fact.value is None
+    assert decision_of(interpolated=best, held=other).fact.value is None
 
 
 def test_a_slight_reduction_of_a_large_residual_gives_no_result() -> None:
-    found = decided(
+    found = decision_of(
         interpolated=residual_of(8.0, nominal=9.0), held=residual_of(10.0, nominal=11.0)
     )
     assert found.fact.value is None
 
 
 def test_a_delay_between_those_of_two_assumptions_gives_no_result() -> None:
-    clear = decided(interpolated=residual_of(1.0, nominal=9.0), held=residual_of(1.5, nominal=9.0))
-    between_both = decided(
+    clear = decision_of(
+        interpolated=residual_of(1.0, nominal=9.0), held=residual_of(1.5, nominal=9.0)
+    )
+    between_both = decision_of(
         interpolated=residual_of(1.0, nominal=9.0, delay=0.0015), held=residual_of(1.5, nominal=9.0)
     )
     assert clear.fact.value == "interpolated"
     assert between_both.fact.value is None
 
 
-def explained_by_delay(value: float) -> Explained:
+def explained_by_delay(value: float) -> Explanation:
     estimate = Estimate(value, "s", value - 2e-4, value + 2e-4)
     finding = Finding(
         "command_delay", "j1", 0.99, {"delay": estimate}, TimeAndRegime("", {}), 0.5, 9.0, (),
         "a test", (), Term("command_delay", 0),
     )  # fmt: skip
-    return Explained((finding,), EMPTY)
+    return Explanation((finding,), EMPTY)
 
 
-def open_between(*possible: str) -> Between:
-    return Between(unknown("no motion"), possible, 0.004)  # type: ignore[arg-type]
+def open_between(*possible: str) -> CommandInterpolation:
+    return CommandInterpolation(unknown("no motion"), possible, 0.004)  # type: ignore[arg-type]
 
 
 def test_the_interval_of_a_delay_covers_every_possible_setpoint() -> None:
-    (found,) = with_doubt(explained_by_delay(0.016), open_between("held", "interpolated")).findings
+    (found,) = with_interpolation_uncertainty(
+        explained_by_delay(0.016), open_between("held", "interpolated")
+    ).findings
     assert found.parameters["delay"].low == pytest.approx(0.0158)
     assert found.parameters["delay"].high == pytest.approx(0.0182)
     assert found.confidence == 0.99
 
 
 def test_a_delay_of_half_a_period_has_half_confidence_if_commands_may_be_ramped() -> None:
-    (found,) = with_doubt(explained_by_delay(0.002), open_between("held", "ramped")).findings
+    (found,) = with_interpolation_uncertainty(
+        explained_by_delay(0.002), open_between("held", "ramped")
+    ).findings
     assert found.parameters["delay"].low == 0.0
     assert found.confidence == 0.5
     assert "command_between" in found.next_test
@@ -226,7 +240,7 @@ def test_a_delay_of_half_a_period_has_half_confidence_if_commands_may_be_ramped(
 
 def test_findings_do_not_change_if_the_interpolation_is_known() -> None:
     known = explained_by_delay(0.002)
-    assert with_doubt(known, None) is known
+    assert with_interpolation_uncertainty(known, None) is known
 
 
 def test_an_effect_of_effort_readings_counts_although_it_changes_no_position() -> None:
@@ -254,9 +268,11 @@ def test_the_detected_interpolation_is_stored_for_each_recording(tmp_path: Path)
     model, recordings = cell(tmp_path / "cell", Reality(), (2,))
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
-    answer = Between(Fact("interpolated", 0.99, "data", "so it is"), ("interpolated",), 0.004)
+    answer = CommandInterpolation(
+        Fact("interpolated", 0.99, "data", "so it is"), ("interpolated",), 0.004
+    )
     settled = RecordedSignals((answer,))
-    used = settled.applied(trials)
+    used = settled.apply(trials)
     assert [t.command_between for t in used.fit] == ["interpolated"]
     assert not any("assumed" in n for n in used.notes)
     assert any("r2.mcap: commands are interpolated between their stamps" in n for n in used.notes)
@@ -265,4 +281,4 @@ def test_the_detected_interpolation_is_stored_for_each_recording(tmp_path: Path)
 
 
 def test_without_recordings_no_interpolation_is_estimated() -> None:
-    assert RecordedSignals().applied(TrialSet((), (), ("a note",))).notes == ("a note",)
+    assert RecordedSignals().apply(TrialSet((), (), ("a note",))).notes == ("a note",)

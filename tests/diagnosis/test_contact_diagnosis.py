@@ -17,11 +17,11 @@ from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.locate import motions, place_of
+from pytest_twin.diagnosis.locate import locate_error, smooth_motions
 from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
-from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_recordings import add_contact_effects_again
 from pytest_twin.diagnosis.search_result import search
@@ -106,11 +106,11 @@ def test_a_contact_effect_that_friction_hid_is_found_by_a_second_search(
     no_contact = replace(prepared, problem=replace(prepared.problem, family="friction"))
     found = search(no_contact, trials, EffectSelection(no_contact.problem))
     found = replace(found, prepared=prepared)
-    friction = {t.effect for t in found.explained.hypothesis.terms}
+    friction = {t.effect for t in found.explanation.hypothesis.terms}
     assert friction == {"viscous_friction"}
     assert found.has_diverged
     more = add_contact_effects_again(found, Run())
-    assert {f.effect for f in more.explained.findings} == friction | {"contact_stiffness"}
+    assert {f.effect for f in more.explanation.findings} == friction | {"contact_stiffness"}
     assert more.verdict == "explained"
     assert add_contact_effects_again(more, Run()) is more
 
@@ -138,7 +138,7 @@ def test_windows_without_contact_are_away_from_the_table(tmp_path: Path) -> None
 
 
 def test_an_arm_that_is_always_in_contact_has_no_windows_without_contact(
-    bench: tuple[Path, Trial, Prepared],
+    bench: tuple[Path, Trial, PreparedProblem],
 ) -> None:
     folder, trial, prepared = bench
     contact = prepared.problem.simulator.models.contact
@@ -161,7 +161,7 @@ def test_contact_effects_are_candidates_only_if_there_is_contact(tmp_path: Path)
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepared]:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, PreparedProblem]:
     folder = tmp_path_factory.mktemp("bench")
     words = case(folder, TWO, seconds=1.5)
     realization = load_model(folder / "model.xml").realization
@@ -196,7 +196,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepar
     ],
 )
 def test_the_written_model_predicts_the_same_motion_as_the_contact_effect(
-    bench: tuple[Path, Trial, Prepared],
+    bench: tuple[Path, Trial, PreparedProblem],
     tmp_path: Path,
     values: dict[str, dict[str, float]],
     written: tuple[str, ...],
@@ -226,10 +226,10 @@ def test_the_written_model_predicts_the_same_motion_as_the_contact_effect(
 
 
 def test_the_regime_of_an_error_states_whether_there_is_contact(
-    bench: tuple[Path, Trial, Prepared],
+    bench: tuple[Path, Trial, PreparedProblem],
 ) -> None:
     _, trial, prepared = bench
-    (motion,) = motions(prepared, [trial])
+    (motion,) = smooth_motions(prepared, [trial])
     assert motion.touching is not None
     shoulder, elbow = trial.position.T
     height = 0.2 - 0.02 - 0.3 * np.sin(shoulder) - 0.3 * np.sin(shoulder + elbow)
@@ -238,7 +238,7 @@ def test_the_regime_of_an_error_states_whether_there_is_contact(
     assert (motion.touching == (height < 0.01))[clear].all()
     words = {True: "in contact or within 10 mm of a surface", False: "without contact"}
     rare = bool(motion.touching.mean() < 0.5)
-    found = place_of([motion], np.where(motion.touching == rare, 1.0, 0.01), 1, "rad").summary
+    found = locate_error([motion], np.where(motion.touching == rare, 1.0, 0.01), 1, "rad").summary
     assert found.startswith(words[rare])
 
 

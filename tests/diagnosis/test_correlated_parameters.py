@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.findings import trade_offs
+from pytest_twin.diagnosis.findings import describe_correlations
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term
-from pytest_twin.diagnosis.intervals import Spread
+from pytest_twin.diagnosis.intervals import ParameterUncertainty
 from pytest_twin.diagnosis.problem import Problem
 
 VISCOUS, COULOMB = Term("viscous_friction", 0), Term("coulomb_friction", 0)
@@ -30,9 +30,9 @@ PROBLEM: Problem = SimpleNamespace(  # type: ignore[assignment]
 )
 
 
-def spread_of(correlation: np.ndarray, sd: np.ndarray) -> Spread:
+def spread_of(correlation: np.ndarray, sd: np.ndarray) -> ParameterUncertainty:
     covariance = correlation * np.outer(sd, sd)
-    return Spread(1.96 * sd, correlation, covariance, 1.96, covariance)
+    return ParameterUncertainty(1.96 * sd, correlation, covariance, 1.96, covariance)
 
 
 @pytest.mark.parametrize("rho", [0.97, -0.97])
@@ -42,7 +42,7 @@ def test_the_interval_of_the_reported_combination_is_valid_and_narrower_than_eac
     hypothesis = Hypothesis((VISCOUS, COULOMB), np.array([0.3, 0.7]))
     correlation, sd = np.array([[1.0, rho], [rho, 1.0]]), np.array([0.04, 0.1])
     width = spread_of(correlation, sd)
-    (line,) = trade_offs(PROBLEM, hypothesis, VISCOUS, width)
+    (line,) = describe_correlations(PROBLEM, hypothesis, VISCOUS, width)
     match = REPORTED.fullmatch(line)
     assert match is not None, line
     assert match[1] == hypothesis.terms[0].parameters[0].name
@@ -65,6 +65,8 @@ def test_a_parameter_that_the_fit_holds_fixed_is_not_reported_as_correlated() ->
     fixed = names.index("harmonic")
     assert not hypothesis.is_estimated[fixed]
     correlation = np.full((4, 4), 0.98) + 0.02 * np.eye(4)
-    lines = trade_offs(PROBLEM, hypothesis, WAVY, spread_of(correlation, np.full(4, 0.1)))
+    lines = describe_correlations(
+        PROBLEM, hypothesis, WAVY, spread_of(correlation, np.full(4, 0.1))
+    )
     assert len(lines) == 3
     assert not any("harmonic" in line for line in lines)

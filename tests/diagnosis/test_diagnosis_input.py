@@ -388,7 +388,7 @@ def test_a_joint_whose_encoder_is_stuck_in_all_recordings_is_not_evaluated(bench
     assert trials.unseen == {"left"}
     found = diagnose(bench.loaded.realization, trials)
     assert set(found.errors) == {"right"}
-    assert found.explained.findings == ()
+    assert found.explanation.findings == ()
     assert found.verdict == "no_mismatch"
     assert any("is not evaluated" in note for note in found.notes)
 
@@ -485,13 +485,13 @@ def test_a_recording_on_which_the_model_diverges_is_left_out(tmp_path: Path) -> 
         return read_trials(fit, usual[1:], loaded.topics, loaded.realization.structure)
 
     found = diagnose(loaded.realization, trials(usual[0], odd))
-    assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
+    assert [f.effect for f in found.explanation.findings] == ["viscous_friction"]
     (note,) = [n for n in found.notes if n.startswith("left out: ")]
     assert note == f"left out: {odd}: the simulation of the model diverges"
-    with pytest.raises(SimulationError) as refused:
+    with pytest.raises(SimulationError) as refused_effects:
         diagnose(loaded.realization, trials(odd))
     assert "odd.mcap: the simulation of the model diverges under the recorded commands" in str(
-        refused.value
+        refused_effects.value
     )
 
 

@@ -72,10 +72,10 @@ def test_servo_stiffness_of_two_percent_of_the_models_value_is_found(tmp_path: P
     realization, trials = read(case_with_wrong_gains(tmp_path, STIFFER, MORE_DAMPED))
     found = diagnose(realization, trials, threads=1)
     assert found.verdict == "explained"
-    assert {(f.effect, f.joint) for f in found.explained.findings} == {
+    assert {(f.effect, f.joint) for f in found.explanation.findings} == {
         ("controller_gain", joint) for joint in JOINTS
     }
-    for finding in found.explained.findings:
+    for finding in found.explanation.findings:
         stiffness, damping = (finding.parameters[n] for n in ("stiffness_error", "damping_error"))
         assert 1.0 + stiffness.value == pytest.approx(1.0 / STIFFER, rel=5e-3)
         assert 1.0 + damping.value == pytest.approx(1.0 / MORE_DAMPED, rel=0.05)

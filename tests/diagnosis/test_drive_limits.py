@@ -9,7 +9,7 @@ from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, limits_instead
+from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, replace_limits
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 
 PROFILE = {"inverse_rate": 3.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}
@@ -26,9 +26,9 @@ def test_a_wrong_torque_speed_limit_is_replaced_by_the_true_rate_limit() -> None
     problem = problem_of("position", {SLOW: PROFILE})
     comparison = ModelComparison(problem)
     best = comparison.fit_to_convergence(comparison.score_without_fit(with_weak_drive(problem)))
-    assert best.left[ELBOW] > (5.0 * problem.floor[ELBOW]) ** 2
+    assert best.max_mean_square[ELBOW] > (5.0 * problem.floor[ELBOW]) ** 2
     assert doubtful_limits(best) == [WEAK]
-    (other,) = limits_instead(best, [WEAK])
+    (other,) = replace_limits(best, [WEAK])
     assert other.terms == (SLOW,)
     assert abs(other.theta[0] * problem.scales.value(SLOW.parameters[0], ELBOW) - 3.0) < 0.1
 
@@ -42,7 +42,7 @@ def test_the_search_continues_with_the_better_limit_and_exchanges_each_limit_onc
     better = selection.exchange_limits(best)
     assert better is not None
     assert better.hypothesis.terms == (SLOW,)
-    assert better.left[ELBOW] < (1.5 * problem.floor[ELBOW]) ** 2
+    assert better.max_mean_square[ELBOW] < (1.5 * problem.floor[ELBOW]) ** 2
     assert selection.exchange_limits(best) is None
 
 

@@ -34,7 +34,7 @@ ONE_ROUND = StructureSearchSettings(rounds=1)
 
 def scored_model(comparison: ModelComparison, hypothesis: Hypothesis) -> ScoredModel:
     """A hypothesis, scored at its present parameters."""
-    return comparison.rivals([hypothesis], comparison.nominal, 0, slopes=True)[0]
+    return comparison.fit_models([hypothesis], comparison.nominal, 0, slopes=True)[0]
 
 
 @pytest.fixture(scope="module")

@@ -15,14 +15,14 @@ from pytest_twin.diagnosis.equivalent_sets import (
     AlternativeSet,
     ComparedSets,
     compare_sets,
-    subsets,
-    without_additions,
+    removed_subsets,
+    without_mere_additions,
 )
 from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
 from pytest_twin.diagnosis.evidence import tempered_samples
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
-from pytest_twin.diagnosis.problem import Problem, joint_scales, nominal_replay
+from pytest_twin.diagnosis.problem import Problem, joint_scales, replay_nominal
 from pytest_twin.diagnosis.replacement import replace_closest_known
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.pruning import PrunedModel
@@ -106,7 +106,7 @@ def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Pro
         for k in range(2)
     ]  # fmt: skip
     simulator = BatchSimulator(segments, joints, threads=1)
-    scales = joint_scales(simulator, nominal_replay(simulator))
+    scales = joint_scales(simulator, replay_nominal(simulator))
     noise = np.full(len(joints), NOISE)
     problem = Problem(simulator, np.arange(2), np.zeros(0, np.int64), noise, scales)
     rng = np.random.default_rng(1)
@@ -233,7 +233,7 @@ def test_base_tilt_and_encoder_bias_share_the_confidence_for_parallel_joint_axes
     start = with_values(problem, {ENCODER_BIAS: {"bias": -0.06, "in_loop": 1.0}})
     found = compared(problem, start)
     selected = confidences(problem, found)
-    both = {found.best.hypothesis.terms, *(tuple(s.rival.hypothesis.terms) for s in found.sets)}
+    both = {found.best.hypothesis.terms, *(tuple(s.model.hypothesis.terms) for s in found.sets)}
     assert {(TILT,), (ENCODER_BIAS,)} <= both
     assert 0.1 < selected.confidence[found.best.hypothesis.terms[0]] < 0.95
 
@@ -248,7 +248,7 @@ def test_an_impossible_set_is_replaced_by_the_likeliest_possible_one() -> None:
 
 def test_subsets_begin_with_single_effects_and_contain_all_effects_of_a_joint() -> None:
     terms = (LOAD, DRAG, DRY, Term("armature", SECOND))
-    found = subsets(terms)
+    found = removed_subsets(terms)
     assert found[:4] == [(t,) for t in terms]
     assert (LOAD, DRAG, DRY) in found
     assert (DRAG, Term("armature", SECOND)) not in found
@@ -274,7 +274,7 @@ def test_the_confidence_of_an_effect_follows_from_the_odds_of_the_sets_without_i
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
     h = EMPTY.with_term(COMMAND_DELAY, starting_grid(COMMAND_DELAY)[0][0])
-    (best,) = comparison.rivals([h], comparison.nominal, 0)
+    (best,) = comparison.fit_models([h], comparison.nominal, 0)
     no_alternatives = ComparedSets(best, (), 1.0, 0.0)
     known = SelectedModel(
         best, comparison.nominal, {COMMAND_DELAY: 0.8}, {COMMAND_DELAY: [(DRAG, 0.2)]}
@@ -291,7 +291,7 @@ def test_an_unlikely_alternative_keeps_its_tempered_evidence() -> None:
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
     h = EMPTY.with_term(COMMAND_DELAY, starting_grid(COMMAND_DELAY)[0][0])
-    (best,) = comparison.rivals([h], comparison.nominal, 0)
+    (best,) = comparison.fit_models([h], comparison.nominal, 0)
     selected = SelectedModel(best, comparison.nominal)
     removed = (COMMAND_DELAY,)
     selected.weigh({(removed, DRAG): -5000.0, (removed, DRY): -5000.0, (removed, None): -9000.0})
@@ -304,7 +304,7 @@ def test_evidence_of_the_linearized_motion_alone_does_not_lower_a_confidence() -
     problem = problem_of(SLIDER, "position", {})
     comparison = ModelComparison(problem)
     h = EMPTY.with_term(COMMAND_DELAY, starting_grid(COMMAND_DELAY)[0][0])
-    (best,) = comparison.rivals([h], comparison.nominal, 0)
+    (best,) = comparison.fit_models([h], comparison.nominal, 0)
     known = SelectedModel(
         best, comparison.nominal, {COMMAND_DELAY: 0.2}, {COMMAND_DELAY: [(DRAG, 0.8)]},
         evidence={COMMAND_DELAY: {DRAG: 50.0}}, not_simulated=frozenset({COMMAND_DELAY}),
@@ -321,7 +321,7 @@ def test_a_general_law_is_no_alternative_to_its_special_case() -> None:
     general = Term("asymmetric_friction", FIRST)
     own = with_values(problem, {DRY: {"coulomb": 0.1}})
     other = with_values(problem, {general: {"coulomb": 0.1}})
-    best, rival = comparison.rivals([own, other], comparison.nominal, 0)
+    best, rival = comparison.fit_models([own, other], comparison.nominal, 0)
     found = ComparedSets(best, (AlternativeSet(rival, 0.0, 0.0),), 1.0, 0.0)
     selected = share_confidence(SelectedModel(best, comparison.nominal), found)
     assert selected.confidence[DRY] == pytest.approx(1.0)
@@ -372,9 +372,9 @@ def test_no_replacement_is_simulated_if_pruning_rejected_no_closest_effect(
 ) -> None:
     comparison, selected, pruned = rejected(delayed, {DRAG: {"coefficient": 0.1}})
     pruned.closest = ()
-    before = delayed.stepped
+    before = delayed.simulated_steps
     assert replace_closest_known(delayed, comparison, selected, pruned) == (selected, pruned)
-    assert delayed.stepped == before
+    assert delayed.simulated_steps == before
 
 
 def test_an_alternative_set_keeps_the_other_effects() -> None:
@@ -385,9 +385,9 @@ def test_an_alternative_set_keeps_the_other_effects() -> None:
         (100.0, EMPTY.with_terms({t: np.zeros(len(t.parameters)) for t in (rival, minor)})),
         (0.0, EMPTY),
     ]
-    kept = [set(h.terms) for h in without_additions(sets, (main, minor), 1)]
+    kept = [set(h.terms) for h in without_mere_additions(sets, (main, minor), 1)]
     assert {rival, minor} in kept
-    assert {rival, minor} not in [set(h.terms) for h in without_additions(sets, (main,), 1)]
+    assert {rival, minor} not in [set(h.terms) for h in without_mere_additions(sets, (main,), 1)]
 
 
 def test_an_equivalent_effect_is_an_alternative_although_another_joint_is_unexplained() -> None:
@@ -400,5 +400,5 @@ def test_an_equivalent_effect_is_an_alternative_although_another_joint_is_unexpl
     )  # fmt: skip
     problem = problem_of(PLANAR, "position", {scale: {"scale_error": 0.04}, dry: {"coulomb": 4.0}})
     found = compared(problem, with_values(problem, {eccentric: {"sine": 0.04, "zeroed": 1.0}}))
-    named = [found.best.hypothesis.terms, *(s.rival.hypothesis.terms for s in found.sets)]
+    named = [found.best.hypothesis.terms, *(s.model.hypothesis.terms for s in found.sets)]
     assert (scale,) in named

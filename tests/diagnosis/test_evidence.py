@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import laplace, norm
 
 from pytest_twin.diagnosis.evidence import (
+    consistent_evidence_bound,
     laplace_log_likelihood,
     log_likelihood,
-    supported_by_windows,
 )
 
 FLOOR, MANY = np.array([1e-9]), np.array([4000.0])
@@ -54,7 +54,9 @@ def test_a_gain_in_every_window_supports_the_whole_likelihood_ratio() -> None:
     noise = np.random.default_rng(1).standard_normal((windows * samples, 1))
     difference = 0.3 * np.sin(np.arange(windows * samples))[:, None]
     gained = 0.5 * float(np.sum((noise + difference) ** 2 - noise**2))
-    supported = supported_by_windows(noise, noise + difference, [samples] * windows, np.ones(1))
+    supported = consistent_evidence_bound(
+        noise, noise + difference, [samples] * windows, np.ones(1)
+    )
     assert supported == pytest.approx(gained, rel=0.25)
     assert supported > 100.0
 
@@ -67,6 +69,8 @@ def test_a_gain_in_few_windows_and_a_loss_in_others_supports_no_likelihood_ratio
     other[3:8] += 3.3
     gained = 0.5 * float(np.sum(other**2 - one**2))
     lengths = [samples] * windows
-    supported = supported_by_windows(one.reshape(-1, 1), other.reshape(-1, 1), lengths, np.ones(1))
+    supported = consistent_evidence_bound(
+        one.reshape(-1, 1), other.reshape(-1, 1), lengths, np.ones(1)
+    )
     assert gained > 200.0
     assert supported < 5.0

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.findings import estimate, explain, finding_json
-from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.findings import build_estimate, build_explanation, finding_json
+from pytest_twin.diagnosis.fit import FittedModel
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.search.pruning import prune
@@ -43,7 +43,7 @@ def test_an_estimate_is_finite_and_inside_its_interval(
     p: Parameter, at: float, half: float, scale: float
 ) -> None:
     theta = p.lower + at * (p.upper - p.lower)
-    found = estimate(p, theta, half, scale, "1")
+    found = build_estimate(p, theta, half, scale, "1")
     json.dumps([found.value, found.low, found.high], allow_nan=False)
     slack = 1e-9 * max(abs(found.low), abs(found.high))
     assert found.low - slack <= found.value <= found.high + slack
@@ -53,10 +53,10 @@ def test_an_estimate_is_finite_and_inside_its_interval(
 def test_the_reciprocal_of_zero_is_reported_as_a_large_finite_value(p: Parameter) -> None:
     scale = 0.5
     nearest = 1.0 / (p.upper * scale)
-    found = estimate(p, 0.0, 0.0, scale, "1")
+    found = build_estimate(p, 0.0, 0.0, scale, "1")
     assert found.value > 1e5 * nearest
     # An interval around zero gives a lower bound of the reciprocal.
-    bounded = estimate(p, 0.0, 0.1 * p.upper, scale, "1")
+    bounded = build_estimate(p, 0.0, 0.1 * p.upper, scale, "1")
     assert bounded.low == pytest.approx(10.0 * nearest)
     assert bounded.low < bounded.value < bounded.high
 
@@ -64,7 +64,7 @@ def test_the_reciprocal_of_zero_is_reported_as_a_large_finite_value(p: Parameter
 def test_a_reciprocal_away_from_zero_has_the_reciprocal_interval() -> None:
     p = RECIPROCAL[0]
     theta = 0.5 * p.upper
-    found = estimate(p, theta, 0.1 * theta, 2.0, "1")
+    found = build_estimate(p, theta, 0.1 * theta, 2.0, "1")
     assert found.value == pytest.approx(1.0 / (2.0 * theta))
     assert (found.low, found.high) == pytest.approx(
         (1.0 / (2.2 * theta), 1.0 / (1.8 * theta)), rel=1e-9
@@ -91,7 +91,7 @@ def test_an_effect_that_makes_the_prediction_diverge_is_rejected_and_the_others_
     def scored(hypothesis: Hypothesis) -> ScoredModel:
         fit, held = (problem.residuals([hypothesis], s)[0] for s in (problem.fit, problem.held_out))
         return ScoredModel(
-            Fitted(hypothesis, fit, np.zeros((*fit.shape, hypothesis.theta.size)), 1.0),
+            FittedModel(hypothesis, fit, np.zeros((*fit.shape, hypothesis.theta.size)), 1.0),
             held,
             problem,
         )
@@ -99,7 +99,7 @@ def test_an_effect_that_makes_the_prediction_diverge_is_rejected_and_the_others_
     best = scored(chosen)
     assert not np.isfinite(best.held_residual).all()
     selected = SelectedModel(best, scored(EMPTY), confidence={delay: math.nan, drag: math.nan})
-    found = explain(prepared, selected, prune(prepared.problem, selected), trials)
+    found = build_explanation(prepared, selected, prune(prepared.problem, selected), trials)
     assert [(f.effect, f.joint) for f in found.findings] == [("command_delay", "left")]
     (finding,) = found.findings
     assert finding.parameters["delay"].value == pytest.approx(0.02, rel=0.05)

@@ -43,7 +43,7 @@ from pytest_twin.diagnosis.first_order.sensitivities import (
 )
 from pytest_twin.diagnosis.free_initial_state import free_initial_states
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, nominal_replay
+from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, replay_nominal
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
@@ -239,14 +239,14 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
                         initial_position=q, initial_velocity=v, history=(time, smooth, speed))
             )  # fmt: skip
     simulator = BatchSimulator(segments, joints, threads=1)
-    scales = joint_scales(simulator, nominal_replay(simulator))
+    scales = joint_scales(simulator, replay_nominal(simulator))
     noise = np.full(len(joints), NOISE)
     problem = Problem(simulator, np.arange(len(segments)), np.zeros(0, np.int64), noise, scales)
     if not servo:
         problem = replace(
             problem,
             start_noise=noise,
-            free=lambda h: free_initial_states(segments, joints, noise, 1, h, scales),
+            find_starts=lambda h: free_initial_states(segments, joints, noise, 1, h, scales),
         )
     return problem.at(EMPTY)
 
@@ -417,7 +417,7 @@ def slide(limit: float, push: float) -> tuple[MeasuredTrajectory, LinearizedDyna
     hidden = {Term("external_force", 0): force} if push else {}
     segment = replace(segment, position=simulated_positions(segment, ("j",), hidden))
     simulator = BatchSimulator([segment], ("j",), threads=1)
-    scales = joint_scales(simulator, nominal_replay(simulator))
+    scales = joint_scales(simulator, replay_nominal(simulator))
     problem = Problem(simulator, np.array([0]), np.zeros(0, np.int64), np.full(1, 1e-6), scales)
     motion = measured_trajectory(problem, EMPTY, problem.fit)
     rigid = rigid_terms(simulator, motion)[0]
@@ -546,7 +546,7 @@ def test_trajectories_with_readings_equal_the_predictions(
     refined = BatchSimulator(problem.simulator.segments, problem.joints, threads=1, refine=REFINE)
     problem = problem.with_simulator(problem.simulator, refined)
     hypothesis = EMPTY.with_term(term, np.array([p.starts[0] for p in term.parameters]))
-    assert hypothesis.is_rough is rough
+    assert hypothesis.is_discontinuous is rough
     problem = problem.at(hypothesis)
     assert problem.discretization_error
     _, _, followed = problem.trajectories_with_readings(hypothesis, problem.fit)

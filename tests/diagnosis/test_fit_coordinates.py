@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_first_order import ELBOW, SHOULDER, carried, problem_of
 
-from pytest_twin.diagnosis.fit import fit, propose
+from pytest_twin.diagnosis.fit import fit, propose_step
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.search.simplification import merge_terms
 from pytest_twin.effects import catalogue
@@ -54,22 +54,22 @@ def test_a_law_absorbs_its_special_case() -> None:
     """Coulomb and Stribeck friction together are a Stribeck friction; their levels add up."""
     plain, rich = Term("coulomb_friction", ELBOW), Term("stribeck_friction", ELBOW)
     both = Hypothesis((plain, rich), np.array([0.7, -0.4, 0.5, 0.2]))
-    one = both.absorbed(plain, rich)
+    one = both.with_absorbed(plain, rich)
     assert one is not None
     assert one.terms == (rich,)
     assert one.theta == pytest.approx([0.3, 0.5, 0.2])
-    assert both.absorbed(rich, plain) is None
+    assert both.with_absorbed(rich, plain) is None
 
 
 def test_servo_gains_absorb_a_torque_constant() -> None:
     """A quarter of the stiffness times twice the torque constant is half the stiffness."""
     servo, drive = Term("controller_gain", SHOULDER), Term("torque_constant", SHOULDER)
     both = Hypothesis((servo, drive), np.array([-0.75, -0.4, 1.0]))
-    one = both.absorbed(drive, servo)
+    one = both.with_absorbed(drive, servo)
     assert one is not None
     assert one.terms == (servo,)
     assert one.theta == pytest.approx([-0.5, 0.2])
-    assert both.absorbed(servo, drive) is None
+    assert both.with_absorbed(servo, drive) is None
     problem = problem_of("position", {servo: {"stiffness_error": -0.5, "damping_error": 0.2}})
     assert (servo,) in [h.terms for h in merge_terms(problem, both)]
 
@@ -97,12 +97,12 @@ def test_a_parameter_without_influence_on_the_prediction_keeps_its_value() -> No
     tilt = Hypothesis((Term("base_tilt", -1),), np.array([0.0, 0.02]))
     jacobian = random.standard_normal((200, 1, 2)) * np.array([1e-7, 1.0])
     residual = 0.01 * jacobian[:, :, 1] + 3e-3 * random.standard_normal((200, 1))
-    moved = propose(tilt, residual, jacobian, np.ones(1), 1e-4)
+    moved = propose_step(tilt, residual, jacobian, np.ones(1), 1e-4)
     assert moved.theta[0] == 0.0
     assert moved.theta[1] == pytest.approx(0.03, abs=2e-3)
     # With a slope above rounding error, the parameter is fitted.
     rolled = residual - 0.01 * jacobian[:, :, 0] * 1e7
-    free = propose(tilt, rolled, jacobian * np.array([1e7, 1.0]), np.ones(1), 1e-4)
+    free = propose_step(tilt, rolled, jacobian * np.array([1e7, 1.0]), np.ones(1), 1e-4)
     assert free.theta[0] == pytest.approx(-0.01, abs=2e-3)
 
 

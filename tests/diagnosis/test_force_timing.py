@@ -56,7 +56,7 @@ def test_a_fit_finds_the_start_time_of_an_external_force(
     for off in (-OFF, OFF):
         assert found(off) == pytest.approx(TRUE["start"], abs=NEAR)
     # With gradient steps only, the fit changes the start time by less than its error.
-    monkeypatch.setattr(fit_module, "_REACHED", ())
+    monkeypatch.setattr(fit_module, "_REACH_SHARES", ())
     assert abs(found(-OFF) - TRUE["start"]) > NEAR
 
 

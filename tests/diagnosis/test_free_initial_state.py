@@ -88,7 +88,7 @@ def residual_in_floors(
 ) -> float:
     """RMS residual with the free initial state, in standard deviations of the noise."""
     predicted = position(replace(segment, motor_shift=free_starts.motor_shifts.get(0)), hypothesis)
-    residual = free_starts.free[0].freed(segment.position - predicted)
+    residual = free_starts.free[0].without_initial_error(segment.position - predicted)
     return float(np.sqrt(np.mean(residual**2))) / NOISE
 
 
@@ -163,4 +163,4 @@ def test_a_segment_whose_first_samples_are_lost_has_a_free_initial_state() -> No
     found = estimated_starts(lost, EMPTY).free[0]
     assert np.isfinite(found.solve).all()
     shift = np.full(lost.position.shape, 0.01)
-    assert np.abs(found.freed(shift)).max() < 1e-4
+    assert np.abs(found.without_initial_error(shift)).max() < 1e-4

@@ -11,7 +11,10 @@ import pytest
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
-from pytest_twin.diagnosis.friction_constraint import CREEPS, search_as_friction_acts
+from pytest_twin.diagnosis.friction_constraint import (
+    FRICTION_CREEP_NOTE,
+    search_with_better_constraint,
+)
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.replay import replay_patched
@@ -99,7 +102,7 @@ def test_the_exact_model_has_no_mismatch_with_either_friction_constraint(
     """The joints creep under dry friction, or hold at rest."""
     _, found = diagnosed(tmp_path, holds=holds)
     assert found.verdict == "no_mismatch"
-    assert (CREEPS in found.notes) is not holds
+    assert (FRICTION_CREEP_NOTE in found.notes) is not holds
     for error in found.errors.values():
         assert error.before < 1.5 * error.floor
 
@@ -108,15 +111,15 @@ def test_a_hidden_delay_is_found_and_creep_is_detected_from_the_residual(tmp_pat
     """The mismatch is a hundred times the influence of creep."""
     realization, found = diagnosed(tmp_path, delay=0.012)
     assert found.verdict == "explained"
-    assert [(f.effect, f.joint) for f in found.explained.findings] == [("command_delay", "lift")]
-    assert CREEPS in found.notes
+    assert [(f.effect, f.joint) for f in found.explanation.findings] == [("command_delay", "lift")]
+    assert FRICTION_CREEP_NOTE in found.notes
     assert found.errors["lift"].before > 50.0 * found.errors["lift"].floor
     for error in found.errors.values():
         assert error.after < 1.5 * error.floor
 
     folder = tmp_path / "realization"
     folder.mkdir()
-    problem, hypothesis = found.prepared.problem, found.explained.hypothesis
+    problem, hypothesis = found.prepared.problem, found.explanation.hypothesis
     write_realization(folder, realization, problem, hypothesis)
     model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
     np.testing.assert_allclose(model.dof_solref, [[0.02, 1.0]] * 2)
@@ -140,12 +143,12 @@ def test_the_search_adds_no_effect_with_the_wrong_friction_constraint(
 ) -> None:
     """After the first effect, the friction constraint is selected before further effects."""
     realization, trials = arm_case(tmp_path, delay=0.012, holds=holds)
-    given = ModelSetup.of(realization, None, threads=1)
-    prepared, trials = build_problem(given, trials, [])
+    setup = ModelSetup.of(realization, None, threads=1)
+    prepared, trials = build_problem(setup, trials, [])
     run = Run()
-    stepped, found = search_as_friction_acts(given, prepared, trials, run, EMPTY)
+    stepped, found = search_with_better_constraint(setup, prepared, trials, run, EMPTY)
     assert stepped.has_friction_creep is not holds
-    assert [t.effect for t in found.explained.hypothesis.terms] == ["command_delay"]
+    assert [t.effect for t in found.explanation.hypothesis.terms] == ["command_delay"]
     # The residual of the wrong constraint led to no further effect.
     added = [
         step for step in run.trace.steps if (step.move, step.decision) == ("addition", "accepted")

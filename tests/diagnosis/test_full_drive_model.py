@@ -10,9 +10,9 @@ import pytest
 from test_windows import ONE, one_pendulum
 
 from pytest_twin.diagnosis.effect_selection import EffectSelection
-from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search import cma_es_fit
 from pytest_twin.diagnosis.search.full_drive_model import (
@@ -37,7 +37,7 @@ DRY, VISCOUS, DELAY = 0.03, 0.04, 0.004
 DRY_FRICTION = Term("coulomb_friction", 0)
 
 
-def result_with_dry_friction_only(prepared: Prepared, trials: TrialSet) -> SearchResult:
+def result_with_dry_friction_only(prepared: PreparedProblem, trials: TrialSet) -> SearchResult:
     """The result of a search that found dry friction only."""
     problem = prepared.problem
     selection = EffectSelection(problem)
@@ -47,7 +47,7 @@ def result_with_dry_friction_only(prepared: Prepared, trials: TrialSet) -> Searc
     chosen = SelectedModel(best, selection.comparison.nominal)
     chosen.weigh({((DRY_FRICTION,), Term("viscous_friction", 0)): -1.0})
     found = conclude(prepared, trials, selection.diagnosis_run, chosen)
-    return replace(found, selected=chosen, explained=Explained((), alone))
+    return replace(found, selected=chosen, explanation=Explanation((), alone))
 
 
 def test_an_effect_that_was_compared_with_nothing_in_time_is_kept_with_low_confidence(
@@ -64,7 +64,7 @@ def test_an_effect_that_was_compared_with_nothing_in_time_is_kept_with_low_confi
     run.budget.stop()
     chosen = SelectedModel(best, selection.comparison.nominal)
     found = conclude(prepared, trials, selection.diagnosis_run, chosen)
-    (finding,) = found.explained.findings
+    (finding,) = found.explanation.findings
     assert (finding.effect, finding.confidence) == ("coulomb_friction", 0.5)
     assert found.verdict == "improved", found.pruned.notes
 
@@ -98,7 +98,7 @@ def test_all_drive_parameters_are_fitted_together_and_the_absent_ones_pruned(
     )
     found, other = (result_with_dry_friction_only(prepared, trials) for prepared in (whole, cut))
     named = refit_with_full_drive(found, other, longer)
-    by_effect = {f.effect: f for f in named.explained.findings}
+    by_effect = {f.effect: f for f in named.explanation.findings}
     assert {"coulomb_friction", "viscous_friction", "command_delay"} <= set(by_effect)
     assert len(by_effect) <= 5
     for effect, parameter, truth in (
@@ -147,7 +147,8 @@ def test_stick_slip_needs_a_friction_effect_and_a_residual_above_ten_floors(tmp_
         (11.0, (), False),
     ):
         kept = JointError(1.0, times * 0.01, 0.01, "rad")
-        explained = Explained((), Hypothesis(terms, np.full(len(terms), 0.1)))
+        explanation = Explanation((), Hypothesis(terms, np.full(len(terms), 0.1)))
         assert (
-            replace(found, errors={"left": kept}, explained=explained).has_stick_slip is stick_slip
+            replace(found, errors={"left": kept}, explanation=explanation).has_stick_slip
+            is stick_slip
         )

@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
-from pytest_twin.diagnosis.integrator_detection import as_simulated_before, detect_integrator
+from pytest_twin.diagnosis.integrator_detection import adopt_simulation_step, detect_integrator
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.run import Run
@@ -98,7 +98,7 @@ def test_the_exact_model_has_no_mismatch_for_any_time_step_of_the_recorded_simul
     """The discretization error is 80 times the noise, and below it with 40 substeps."""
     found = diagnose(*arm_case(tmp_path, substeps, 0.0), threads=1)
     assert found.verdict == "no_mismatch"
-    assert found.explained.findings == ()
+    assert found.explanation.findings == ()
     assert is_detected(found) is (substeps < 40)
     if substeps < 40:
         assert all(e.after < 1.2 * NOISE for e in found.errors.values())
@@ -117,23 +117,23 @@ def test_metadata_may_say_what_made_the_recordings(
 ) -> None:
     """The hidden friction leaves a residual, from which no simulation is recognised before it."""
     realization, trials = arm_case(tmp_path, 1, HIDDEN, source=source)
-    given = ModelSetup.of(realization, None, 1)
-    prepared, trials = build_problem(given, trials, [])
-    setup, there, _ = as_simulated_before(given, prepared, trials, Run())
-    assert setup.substeps == substeps
-    assert setup.is_of_robot is (source == "robot")
+    setup = ModelSetup.of(realization, None, 1)
+    prepared, trials = build_problem(setup, trials, [])
+    found_setup, there, _ = adopt_simulation_step(setup, prepared, trials, Run())
+    assert found_setup.substeps == substeps
+    assert found_setup.is_of_robot is (source == "robot")
     assert bool(there.problem.discretization_error) is not bool(taken)
 
 
 def test_a_declared_robot_is_never_taken_for_a_simulation(tmp_path: Path) -> None:
     realization, trials = arm_case(tmp_path, 1, 0.0, source="robot")
-    given = ModelSetup.of(realization, None, 1)
-    prepared, trials = build_problem(given, trials, [])
-    setup, _, _ = as_simulated_before(given, prepared, trials, Run())
-    assert (setup.substeps, setup.is_of_robot) == (0, True)
+    setup = ModelSetup.of(realization, None, 1)
+    prepared, trials = build_problem(setup, trials, [])
+    found_setup, _, _ = adopt_simulation_step(setup, prepared, trials, Run())
+    assert (found_setup.substeps, found_setup.is_of_robot) == (0, True)
     undeclared = arm_case(tmp_path, 1, 0.0)[1]
-    setup, _, _ = as_simulated_before(given, prepared, undeclared, Run())
-    assert (setup.substeps, setup.is_of_robot) == (1, False)
+    found_setup, _, _ = adopt_simulation_step(setup, prepared, undeclared, Run())
+    assert (found_setup.substeps, found_setup.is_of_robot) == (1, False)
 
 
 def test_a_hidden_effect_in_recordings_of_a_simulation_is_found_exactly(tmp_path: Path) -> None:
@@ -179,16 +179,16 @@ def test_a_simulation_is_not_searched_for_if_the_findings_contain_an_elastic_tra
 ) -> None:
     """With a transmission, the motor has its own integration step, unlike in the simulation."""
     realization, trials = arm_case(tmp_path, 1, HIDDEN)
-    given = ModelSetup.of(realization, None, 1)
-    prepared, trials = build_problem(given, trials, [])
+    setup = ModelSetup.of(realization, None, 1)
+    prepared, trials = build_problem(setup, trials, [])
     selection = EffectSelection(prepared.problem)
     comparison = selection.comparison
     damped = comparison.score_without_fit(EMPTY.with_term(DAMPING, starting_grid(DAMPING)[0][0]))
     selected = SelectedModel(comparison.fit_to_convergence(damped), comparison.nominal)
     found = conclude(prepared, trials, selection.diagnosis_run, selected)
-    assert [f.effect for f in found.explained.findings] == ["viscous_friction"]
-    assert detect_integrator(found, given) == replace(given, substeps=1)
+    assert [f.effect for f in found.explanation.findings] == ["viscous_friction"]
+    assert detect_integrator(found, setup) == replace(setup, substeps=1)
     best = found.selected.best
     geared = best.hypothesis.with_term(BACKLASH, starting_grid(BACKLASH)[0][0])
     found.selected.best = replace(best, fitted=replace(best.fitted, hypothesis=geared))
-    assert detect_integrator(found, given) is None
+    assert detect_integrator(found, setup) is None

@@ -85,7 +85,7 @@ def test_viscous_friction_is_right_for_every_time_step_of_the_recorded_simulatio
     tmp_path: Path, step: float
 ) -> None:
     found = diagnosed(tmp_path, step)
-    (finding,) = found.explained.findings
+    (finding,) = found.explanation.findings
     assert finding.effect == "viscous_friction"
     estimate = finding.parameters["coefficient"]
     assert estimate.low <= ADDED <= estimate.high
@@ -96,7 +96,7 @@ def test_viscous_friction_is_right_for_every_time_step_of_the_recorded_simulatio
 
 def test_a_simulation_that_logs_efforts_one_step_late_is_detected(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, 0.002, with_force=True)
-    (finding,) = found.explained.findings
+    (finding,) = found.explanation.findings
     assert finding.effect == "viscous_friction"
     estimate = finding.parameters["coefficient"]
     assert estimate.low <= ADDED <= estimate.high

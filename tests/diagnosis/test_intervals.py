@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from pytest_twin.diagnosis.evidence import effective_samples
-from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.fit import FittedModel
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term
-from pytest_twin.diagnosis.intervals import clusters, jackknife, parameter_spread
+from pytest_twin.diagnosis.intervals import clusters, jackknife, parameter_uncertainty
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.segment import Predicted
 
@@ -39,7 +39,9 @@ def problem(discretization_error: np.ndarray | None = None, recordings: int = 1)
     )  # fmt: skip
 
 
-def least_squares(rng: np.random.Generator, correlation: float, similarity: float = 0.0) -> Fitted:
+def least_squares(
+    rng: np.random.Generator, correlation: float, similarity: float = 0.0
+) -> FittedModel:
     """Least squares of two regressors under first-order autoregressive noise."""
     n = SAMPLES * SEGMENTS
     t = np.arange(n) * 0.01
@@ -50,14 +52,14 @@ def least_squares(rng: np.random.Generator, correlation: float, similarity: floa
     y = design @ TRUTH + 0.1 * lfilter([1.0], [1.0, -correlation], white)
     theta = np.linalg.lstsq(design, y, rcond=None)[0]
     residual = (y - design @ theta)[:, None]
-    return Fitted(Hypothesis((), theta), residual, design[:, None, :], 0.0)
+    return FittedModel(Hypothesis((), theta), residual, design[:, None, :], 0.0)
 
 
 def coverage(correlation: float, similarity: float = 0.0) -> float:
     inside = []
     for seed in range(150):
         found = least_squares(np.random.default_rng(seed), correlation, similarity)
-        width = parameter_spread(problem(), found).half_width
+        width = parameter_uncertainty(problem(), found).half_width
         inside.append(np.abs(found.hypothesis.theta - TRUTH) <= width)
     return float(np.mean(inside))
 
@@ -69,8 +71,8 @@ def test_95_percent_intervals_contain_the_truth_in_90_to_99_percent_of_cases() -
 
 def test_intervals_widen_with_autocorrelation_and_follow_the_textbook_for_white_noise() -> None:
     rng = np.random.default_rng(3)
-    white = parameter_spread(problem(), least_squares(rng, 0.0)).half_width
-    red = parameter_spread(problem(), least_squares(rng, 0.95)).half_width
+    white = parameter_uncertainty(problem(), least_squares(rng, 0.0)).half_width
+    red = parameter_uncertainty(problem(), least_squares(rng, 0.95)).half_width
     assert (red > 2.0 * white).all()
     # Amplitude of a sine in white noise of standard deviation 0.1: 1.96 * 0.1 sqrt(2 / n).
     assert np.allclose(white, 1.96 * 0.1 * np.sqrt(2.0 / (SAMPLES * SEGMENTS)), rtol=0.5)
@@ -86,14 +88,16 @@ def test_recordings_that_disagree_widen_the_interval() -> None:
         own = np.repeat(0.05 * rng.standard_normal((SEGMENTS, 2)), SAMPLES, axis=0)
         y = design @ found.hypothesis.theta + found.residual[:, 0] + (design * own).sum(axis=1)
         theta = np.linalg.lstsq(design, y, rcond=None)[0]
-        refitted = Fitted(Hypothesis((), theta), (y - design @ theta)[:, None], found.jacobian, 0.0)
-        width = parameter_spread(problem(recordings=SEGMENTS), refitted).half_width
+        refitted = FittedModel(
+            Hypothesis((), theta), (y - design @ theta)[:, None], found.jacobian, 0.0
+        )
+        width = parameter_uncertainty(problem(recordings=SEGMENTS), refitted).half_width
         inside.append(np.abs(theta - TRUTH) <= width)
     assert 0.9 <= float(np.mean(inside)) <= 0.99
 
 
 def test_intervals_of_correlated_parameters_contain_the_truth() -> None:
-    found = parameter_spread(
+    found = parameter_uncertainty(
         problem(), least_squares(np.random.default_rng(0), 0.8, similarity=0.995)
     )
     assert found.correlation[0, 1] < -0.95
@@ -102,9 +106,9 @@ def test_intervals_of_correlated_parameters_contain_the_truth() -> None:
 
 def test_the_interval_includes_the_uncertainty_of_the_discretization_error() -> None:
     given = least_squares(np.random.default_rng(1), 0.0)
-    without = parameter_spread(problem(), given).half_width
+    without = parameter_uncertainty(problem(), given).half_width
     error = 0.4 * given.jacobian[:, :, 0]
-    with_it = parameter_spread(problem(error), given).half_width
+    with_it = parameter_uncertainty(problem(error), given).half_width
     # An eighth of a discretization error of 0.4 times the response to the first parameter.
     assert np.isclose(with_it[0] - without[0], 0.05, rtol=0.1)
     assert with_it[1] - without[1] < 0.01
@@ -158,9 +162,11 @@ def test_few_recordings_are_divided_into_more_clusters() -> None:
 def test_alternative_models_with_other_values_widen_the_interval() -> None:
     given = least_squares(np.random.default_rng(2), 0.0)
     term = Term("controller_gain", 0)
-    one = Fitted(Hypothesis((term,), given.hypothesis.theta), given.residual, given.jacobian, 0.0)
-    alone = parameter_spread(problem(), one).half_width
-    with_alternative = parameter_spread(
+    one = FittedModel(
+        Hypothesis((term,), given.hypothesis.theta), given.residual, given.jacobian, 0.0
+    )
+    alone = parameter_uncertainty(problem(), one).half_width
+    with_alternative = parameter_uncertainty(
         problem(), one, [(1.0, {term: np.array([0.4, 0.0])})]
     ).half_width
     # The alternative is as likely as the best model and 0.4 away: standard deviation sqrt(0.5) 0.4.

@@ -61,7 +61,7 @@ def diagnosed(paths: Sequence[Path]) -> Diagnosis:
 def assert_same_findings(a: Diagnosis, b: Diagnosis, tolerance: float) -> None:
     """Fail unless both find the same effects at the same joints, with the same parameters."""
     assert a.verdict == b.verdict
-    first, second = a.explained.findings, b.explained.findings
+    first, second = a.explanation.findings, b.explanation.findings
     assert [(f.effect, f.joint) for f in first] == [(f.effect, f.joint) for f in second]
     for one, other in zip(first, second, strict=True):
         assert other.confidence == pytest.approx(one.confidence, abs=0.02)
@@ -76,7 +76,9 @@ def assert_same_findings(a: Diagnosis, b: Diagnosis, tolerance: float) -> None:
 def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Diagnosis]:
     paths = recorded(tmp_path_factory.mktemp("usual") / "case", ("left",))
     found = diagnosed(paths)
-    assert [(f.effect, f.joint) for f in found.explained.findings] == [("coulomb_friction", "left")]
+    assert [(f.effect, f.joint) for f in found.explanation.findings] == [
+        ("coulomb_friction", "left")
+    ]
     return paths, found
 
 

@@ -52,9 +52,9 @@ def test_the_same_question_has_the_same_answer_and_the_same_count_of_steps(
     problem: Problem, found: Hypothesis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     terms = [t for t in candidates(problem) if t != DRAG]
-    counts = [problem.stepped]
+    counts = [problem.simulated_steps]
     first = linearized(problem, found)
-    counts.append(problem.stepped)
+    counts.append(problem.simulated_steps)
     sensitivities = first.sensitivities(terms)
     assert len(sensitivities) > 20
 
@@ -64,7 +64,7 @@ def test_the_same_question_has_the_same_answer_and_the_same_count_of_steps(
     with monkeypatch.context() as m:
         m.setattr(LawForces, "changes", changed)
         again = linearized(problem, found.with_theta(found.theta.copy()))
-        counts.append(problem.stepped)
+        counts.append(problem.simulated_steps)
         assert again is first
         assert again.sensitivities(terms) == sensitivities
     assert counts[2] - counts[1] == counts[1] - counts[0] > 0
@@ -77,16 +77,16 @@ def test_the_same_question_has_the_same_answer_and_the_same_count_of_steps(
 def test_the_steps_of_a_kept_linearization_are_counted_as_if_it_were_made_again(
     problem: Problem, found: Hypothesis, rough: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Hypothesis, "is_rough", property(lambda self: rough))
+    monkeypatch.setattr(Hypothesis, "is_discontinuous", property(lambda self: rough))
     linearized(problem, found)
 
     def count() -> tuple[int, int]:
-        before = problem.stepped, problem.repeated
+        before = problem.simulated_steps, problem.cached_steps
         linearized(problem, found)
-        return problem.stepped - before[0], problem.repeated - before[1]
+        return problem.simulated_steps - before[0], problem.cached_steps - before[1]
 
     kept = count()
-    problem.memory.kept = None
+    problem.memory.cached = None
     assert count() == kept
     assert kept[0] > 0
     assert (kept[1] > 0) is rough

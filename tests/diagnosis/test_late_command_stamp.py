@@ -33,4 +33,4 @@ def test_a_command_stamp_that_is_one_microsecond_late_causes_no_finding(
 ) -> None:
     found = diagnosed(tmp_path / "cell", EFFORTS, late_ns)
     assert found.verdict == "no_mismatch", found.errors
-    assert found.explained.findings == ()
+    assert found.explanation.findings == ()

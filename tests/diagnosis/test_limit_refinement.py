@@ -15,7 +15,7 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
 from pytest_twin.diagnosis.first_order.sensitivities import linearize
-from pytest_twin.diagnosis.fit import fit, propose
+from pytest_twin.diagnosis.fit import fit, propose_step
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.search.elimination import eliminate
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
@@ -80,7 +80,7 @@ def test_a_torque_speed_limit_without_slope_is_simplified_to_a_saturation() -> N
     stall = 4.0 / problem.scales.value(curve.parameters[1], SHOULDER)
     comparison = ModelComparison(problem)
     general = Hypothesis((curve,), np.array([1e-4, stall]))
-    model = comparison.rivals([general], comparison.nominal, 2, slopes=True)[0]
+    model = comparison.fit_models([general], comparison.nominal, 2, slopes=True)[0]
     found = eliminate(comparison, model).best.hypothesis
     assert found.terms == (flat,)
     limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))
@@ -106,7 +106,7 @@ def test_rounding_errors_do_not_change_a_categorical_parameter() -> None:
     random = np.random.default_rng(2)
     jacobian = random.standard_normal((50, 1, 7)) * [1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
     residual = 1e3 * random.standard_normal((50, 1))
-    moved = propose(h, residual, jacobian, np.ones(1), 1e-4)
+    moved = propose_step(h, residual, jacobian, np.ones(1), 1e-4)
     assert moved.theta[6] == 0.5
     assert moved.theta[5] != 0.3
     # Parameters that this form of the payload does not have stay at zero.
@@ -129,7 +129,7 @@ def test_a_narrow_minimum_outside_the_starting_grid_is_found() -> None:
 def test_sizes_above_the_starting_grid_end_at_the_physical_bound() -> None:
     for law in catalogue().values():
         for size in sizes_up_to_bound(law):
-            lone = Term(law.id, 0).lone(size)
+            lone = Term(law.id, 0).only_estimated_parameter(size)
             assert lone is not None
             assert law.parameters[lone].starts[-1] < size[lone] <= law.parameters[lone].upper
     limit = sizes_up_to_bound(catalogue()["rate_limit"])

@@ -13,11 +13,11 @@ import pytest
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import (
     Motion,
-    blame_windows,
-    frequencies,
-    missing_force,
-    place_of,
-    regimes,
+    compute_missing_force,
+    describe_frequency_band,
+    error_windows,
+    list_regimes,
+    locate_error,
 )
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.smoothing import derivatives
@@ -58,10 +58,10 @@ def test_derivatives_of_a_cubic_are_exact_at_irregular_stamps() -> None:
 def test_windows_contain_the_times_of_large_error_and_little_else() -> None:
     time = np.arange(0.0, 10.0, 0.01)
     blame = 0.01 + np.exp(-(((time - 3.0) / 0.2) ** 2)) + np.exp(-(((time - 7.0) / 0.3) ** 2))
-    (first, second) = blame_windows(time, blame)
+    (first, second) = error_windows(time, blame)
     assert 2.5 < first[0] < 2.9 < 3.1 < first[1] < 3.5
     assert 6.3 < second[0] < 6.9 < 7.1 < second[1] < 7.7
-    assert blame_windows(time, np.zeros_like(time)) == []
+    assert error_windows(time, np.zeros_like(time)) == []
 
 
 def test_a_recording_in_pieces_has_the_same_error_windows_as_the_whole() -> None:
@@ -71,7 +71,7 @@ def test_a_recording_in_pieces_has_the_same_error_windows_as_the_whole() -> None
     blame = np.random.default_rng(0).uniform(0.0, 0.02, len(time))
     blame[(time > 4.3) & (time < 5.3)] += 1.0
     pieces = [motion(part, np.sin(1.3 * part)) for part in np.split(time, 24)]
-    cut, together = place_of(pieces, blame, 0, "rad"), place_of([whole], blame, 0, "rad")
+    cut, together = locate_error(pieces, blame, 0, "rad"), locate_error([whole], blame, 0, "rad")
     assert cut.windows == together.windows
     ((start, end),) = cut.windows["a.mcap"]
     assert 4.2 < start < end < 5.4
@@ -81,14 +81,14 @@ def test_the_regime_has_a_larger_share_of_the_error_than_of_the_time() -> None:
     time = np.arange(0.0, 12.0, 0.005)
     moving = motion(time, 0.8 * np.sin(1.3 * time) + 0.3 * np.sin(4.7 * time + 1.0))
     speed = np.abs(moving.velocity[:, 0])
-    fast = place_of([moving], np.where(speed > np.quantile(speed, 0.75), 1.0, 0.0), 0, "rad")
+    fast = locate_error([moving], np.where(speed > np.quantile(speed, 0.75), 1.0, 0.0), 0, "rad")
     assert fast.summary.startswith("fast, |velocity| > ")
     assert "rad/s" in fast.summary
     patch = np.abs(moving.position[:, 0] - 0.3) < 0.05
-    region = place_of([moving], patch.astype(float), 0, "m").summary
+    region = locate_error([moving], patch.astype(float), 0, "m").summary
     low, high = (float(x) for x in region.split(" m (")[0].split()[1::2])
     assert 0.2 < low < 0.3 < high < 0.4
-    assert place_of([moving], np.ones_like(time), 0, "rad").summary == "throughout the motion"
+    assert locate_error([moving], np.ones_like(time), 0, "rad").summary == "throughout the motion"
     assert set(fast.windows) == {"a.mcap"}
 
 
@@ -97,7 +97,7 @@ def test_velocity_regimes_of_a_joint_that_mostly_rests_follow_from_its_motion() 
     time = np.arange(0.0, 10.0, 0.01)
     out = 0.5 * (1.0 + np.tanh((time - 4.0) / 0.1)) - 0.5 * (1.0 + np.tanh((time - 7.0) / 0.1))
     mostly_at_rest = motion(time, out + 1e-9 * np.sin(300.0 * time))
-    found = dict(regimes([mostly_at_rest], 0, "rad"))
+    found = dict(list_regimes([mostly_at_rest], 0, "rad"))
     (slow,) = [text for text in found if text.startswith("slow")]
     (fast,) = [text for text in found if text.startswith("fast")]
     top = np.abs(mostly_at_rest.velocity).max()
@@ -148,7 +148,7 @@ def test_an_external_force_is_located_at_the_joint_on_which_it_acts(
     residual = problem.residuals([EMPTY], np.array([0]))[0]
     shown = np.sqrt(np.mean(residual**2, axis=0)) / problem.floor
     assert shown.min() > 3.0, "both joints must have a residual above the noise floor"
-    found = missing_force(problem, residual, np.full(2, 1e-4))
+    found = compute_missing_force(problem, residual, np.full(2, 1e-4))
     other = 1 - cause
     assert found.strength[cause] > 3.0 * found.strength[other]
     pushed = (time > 1.3) & (time < 1.6)
@@ -166,12 +166,12 @@ def test_recordings_are_grouped_by_their_metadata() -> None:
         )
         for k in range(8)
     ]
-    slices = {text: mask for text, mask in regimes(paths, 0, "rad") if " within " not in text}
+    slices = {text: mask for text, mask in list_regimes(paths, 0, "rad") if " within " not in text}
     labels = {text for text in slices if text.startswith(("temperature", "robot", "run"))}
     assert labels == {"temperature cold", "temperature warm"}
     warm = np.concatenate([np.full(len(time), k % 2 == 0) for k in range(8)])
     assert (slices["temperature warm"] == warm).all()
-    assert place_of(paths, 0.01 + warm, 0, "rad").summary == (
+    assert locate_error(paths, 0.01 + warm, 0, "rad").summary == (
         "temperature warm (99 % of the error in 50 % of the time)"
     )
 
@@ -183,7 +183,9 @@ def test_measured_conditions_are_rounded_if_they_remain_distinguishable() -> Non
         replace(motion(time, 0.2 * np.sin(5.0 * time + k), f"{k}.mcap"), conditions=conditions)
         for k, conditions in enumerate(recorded)
     ]
-    labels = {text for text, _ in regimes(paths, 0, "rad") if text.startswith(("volts", "run"))}
+    labels = {
+        text for text, _ in list_regimes(paths, 0, "rad") if text.startswith(("volts", "run"))
+    }
     assert labels == {"volts 7.29", "volts 7.4", "run 1.00001", "run 1.00002"}
 
 
@@ -198,12 +200,12 @@ def test_many_measured_temperatures_are_grouped_into_a_colder_and_a_warmer_half(
         )
         for k, recorded in enumerate(measured)
     ]
-    slices = dict(regimes(paths, 0, "rad"))
+    slices = dict(list_regimes(paths, 0, "rad"))
     labels = {text for text in slices if text.startswith(("temperature", "hall"))}
     assert labels == {"temperature up to 23.75 C", "temperature from 25.00 C"}
     cold = np.concatenate([np.full(len(time), float(m[:5]) < 24.0) for m in measured])
     assert (slices["temperature up to 23.75 C"] == cold).all()
-    assert place_of(paths, 0.01 + cold, 0, "rad").summary == (
+    assert locate_error(paths, 0.01 + cold, 0, "rad").summary == (
         "temperature up to 23.75 C (99 % of the error in 50 % of the time)"
     )
 
@@ -218,7 +220,7 @@ def test_a_residual_at_one_frequency_is_reported_with_its_frequency_band(irregul
         paths.append(motion(time, 0.4 * np.sin(2 * np.pi * 0.7 * time + k), f"{k}.mcap"))
         oscillation = np.sin(2 * np.pi * 9.0 * time + k)
         residuals.append(1e-3 * oscillation + 2e-4 * rng.standard_normal(len(time)))
-    text = frequencies(paths, np.concatenate(residuals), 0)
+    text = describe_frequency_band(paths, np.concatenate(residuals), 0)
     assert text is not None
     band = r"([\d.]+) to ([\d.]+) Hz \((\d+) % of the residual, 0 % of the motion\)"
     found = re.match(band, text)
@@ -231,5 +233,5 @@ def test_a_residual_at_one_frequency_is_reported_with_its_frequency_band(irregul
 def test_a_residual_in_proportion_to_the_motion_has_no_frequency_band() -> None:
     time = np.arange(0.0, 6.0, 0.01)
     wave = 0.4 * np.sin(2 * np.pi * 0.7 * time)
-    assert frequencies([motion(time, wave)], 0.01 * wave, 0) is None
-    assert frequencies([motion(time, wave)], 0.0 * wave, 0) is None
+    assert describe_frequency_band([motion(time, wave)], 0.01 * wave, 0) is None
+    assert describe_frequency_band([motion(time, wave)], 0.0 * wave, 0) is None

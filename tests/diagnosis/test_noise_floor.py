@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.noise import timing_noise
 from pytest_twin.diagnosis.prepare import NOISE as SENSOR
 from pytest_twin.diagnosis.prepare import STEP as STEPS
-from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.structure_search.proposals import effort_sensor_terms
@@ -86,7 +86,7 @@ def trial_of(
     return make_trial(read_recording(folder / "a.mcap"))
 
 
-def prepared(folder: Path, trial: Trial) -> Prepared:
+def prepared(folder: Path, trial: Trial) -> PreparedProblem:
     return prepare(load_model(folder / "model.xml").realization, [trial], [], threads=1)
 
 
@@ -217,7 +217,7 @@ def test_the_timing_noise_is_at_most_the_sensor_noise(tmp_path: Path) -> None:
     assert timing[0] == usual[0]
 
 
-def with_raised_floor(found: Prepared, times: float) -> Prepared:
+def with_raised_floor(found: PreparedProblem, times: float) -> PreparedProblem:
     """The problem with a floor for a discretization error of ``times`` the sensor noise."""
     sensor, share = found.floor_parts[SENSOR], found.problem.step_left
     steps = times * sensor / share

@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import read_effects
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
-from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.effects import catalogue
@@ -79,7 +79,7 @@ EFFECTS = [
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepared]:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, PreparedProblem]:
     folder = tmp_path_factory.mktemp("bench")
     (folder / "model.xml").write_text(mjcf())
     realization = load_model(folder / "model.xml").realization
@@ -88,7 +88,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepar
     return folder, trial, prepare(realization, [trial], [])
 
 
-def hypothesis(prepared: Prepared, effect: str, joint: int, values: dict[str, float]) -> Hypothesis:
+def hypothesis(
+    prepared: PreparedProblem, effect: str, joint: int, values: dict[str, float]
+) -> Hypothesis:
     scales = prepared.problem.scales
     theta = [values[p.name] / scales.value(p, joint) for p in catalogue()[effect].parameters]
     return Hypothesis((Term(effect, joint),), np.array(theta))
@@ -100,7 +102,7 @@ def hypothesis(prepared: Prepared, effect: str, joint: int, values: dict[str, fl
     ids=[f"{effect} in {'MJCF' if native else 'replay'}" for effect, _, _, native in EFFECTS],
 )
 def test_the_written_model_predicts_the_same_motion_as_the_effect(
-    bench: tuple[Path, Trial, Prepared],
+    bench: tuple[Path, Trial, PreparedProblem],
     tmp_path: Path,
     effect: str,
     joint: int,
@@ -129,7 +131,7 @@ def test_the_written_model_predicts_the_same_motion_as_the_effect(
 
 
 def test_several_effects_on_one_actuator_are_written_together(
-    bench: tuple[Path, Trial, Prepared], tmp_path: Path
+    bench: tuple[Path, Trial, PreparedProblem], tmp_path: Path
 ) -> None:
     folder, trial, prepared = bench
     parts = [
@@ -154,7 +156,7 @@ def test_several_effects_on_one_actuator_are_written_together(
 
 
 def test_a_diagnosis_of_a_patched_model_uses_the_discretization_error_of_its_effects(
-    bench: tuple[Path, Trial, Prepared], tmp_path: Path
+    bench: tuple[Path, Trial, PreparedProblem], tmp_path: Path
 ) -> None:
     folder, trial, prepared = bench
     problem = prepared.problem
@@ -172,8 +174,8 @@ def test_a_diagnosis_of_a_patched_model_uses_the_discretization_error_of_its_eff
         tmp_path / "realization", load_model(folder / "model.xml").realization, problem, found
     )
     loaded = load_model(find_model(tmp_path))
-    given = ModelSetup.of(loaded.realization, loaded.patched, threads=1)
-    reloaded, _ = build_problem(given, TrialSet((trial,), (), ()), [])
+    setup = ModelSetup.of(loaded.realization, loaded.patched, threads=1)
+    reloaded, _ = build_problem(setup, TrialSet((trial,), (), ()), [])
     (later,) = reloaded.problem.predict([EMPTY], np.array([0]))[0]
     assert np.abs(later.position - first.position).max() < 1e-8
     assert np.abs(later.position - uncorrected).max() > 1e-5
@@ -184,7 +186,7 @@ def test_a_diagnosis_of_a_patched_model_uses_the_discretization_error_of_its_eff
 
 
 def test_an_effect_at_a_joint_without_recording_is_left_out_with_a_note(
-    bench: tuple[Path, Trial, Prepared], tmp_path: Path
+    bench: tuple[Path, Trial, PreparedProblem], tmp_path: Path
 ) -> None:
     folder, trial, prepared = bench
     limit = {"inverse_rate": 1.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}
@@ -199,8 +201,8 @@ def test_an_effect_at_a_joint_without_recording_is_left_out_with_a_note(
             fields[name] = fields[name][:, :1]
     alone = Trial(**{**fields, "joints": JOINTS[:1]})
     notes: list[str] = []
-    given = ModelSetup.of(loaded.realization, loaded.patched, threads=1)
-    reloaded, _ = build_problem(given, TrialSet((alone,), (), ()), notes)
+    setup = ModelSetup.of(loaded.realization, loaded.patched, threads=1)
+    reloaded, _ = build_problem(setup, TrialSet((alone,), (), ()), notes)
     assert reloaded.problem.joints == JOINTS[:1]
     assert notes == [
         f"rate_limit of joint {JOINTS[1]!r} is not applied: no recording contains this joint"

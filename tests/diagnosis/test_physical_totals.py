@@ -9,9 +9,13 @@ import pytest
 from test_equivalent_sets import PENDULUM, SERVO, problem_of, with_values
 
 from pytest_twin.diagnosis.hypothesis import Term
-from pytest_twin.diagnosis.physical_totals import at_zero, impossible, totals
+from pytest_twin.diagnosis.physical_totals import (
+    impossible_effects,
+    totals,
+    without_negative_totals,
+)
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded_range import RecordedRange, not_shown
+from pytest_twin.diagnosis.recorded_range import RecordedRange, unidentifiable_effects
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.small_corrections import small_corrections
@@ -54,7 +58,7 @@ def problem() -> Problem:
 def test_a_correction_below_the_models_own_value_is_impossible(
     problem: Problem, term: Term, values: dict[str, float], name: str
 ) -> None:
-    (why,) = impossible(problem, with_values(problem, {term: values})).values()
+    (why,) = impossible_effects(problem, with_values(problem, {term: values})).values()
     assert name in why
     assert "below zero" in why
 
@@ -71,21 +75,25 @@ def test_friction_that_would_drive_the_joint_in_one_direction_is_impossible(
     problem: Problem, term: Term, possible: dict[str, float], impossible_values: dict[str, float]
 ) -> None:
     """A constant effort has other causes: an encoder zero, a spring, a tilted base."""
-    assert not impossible(problem, with_values(problem, {term: possible}))
-    ((refused, why),) = impossible(problem, with_values(problem, {term: impossible_values})).items()
-    assert refused == term
+    assert not impossible_effects(problem, with_values(problem, {term: possible}))
+    ((refused_effects, why),) = impossible_effects(
+        problem, with_values(problem, {term: impossible_values})
+    ).items()
+    assert refused_effects == term
     assert "-0.05 in one direction, below zero" in why
     # Other friction of the joint adds to both directions.
     others = {DRY: {"coulomb": 0.1}, DRAG: {"coefficient": 0.1}}
-    assert not impossible(problem, with_values(problem, {term: impossible_values, **others}))
+    assert not impossible_effects(
+        problem, with_values(problem, {term: impossible_values, **others})
+    )
 
 
 def test_a_correction_that_removes_all_of_the_models_friction_is_possible(
     problem: Problem,
 ) -> None:
     h = with_values(problem, {DRAG: {"coefficient": -0.2005}})
-    assert not impossible(problem, h)
-    (total,) = totals(problem, h.with_theta(at_zero(problem, h)))
+    assert not impossible_effects(problem, h)
+    (total,) = totals(problem, h.with_theta(without_negative_totals(problem, h)))
     assert total.value == pytest.approx(0.0, abs=1e-12)
 
 
@@ -93,11 +101,11 @@ def test_corrections_of_one_quantity_are_added_before_the_total_is_checked(
     problem: Problem,
 ) -> None:
     both = with_values(problem, {DRY: {"coulomb": -0.15}, STRIBECK: {"coulomb": 0.1}})
-    assert not impossible(problem, both)
-    assert set(impossible(problem, both.without(STRIBECK))) == {DRY}
+    assert not impossible_effects(problem, both)
+    assert set(impossible_effects(problem, both.without(STRIBECK))) == {DRY}
     # Friction may vanish in a part of the turn.
     wave = {"mean": -0.05, "sine": 0.3, "harmonic": 8.0}
-    assert not impossible(problem, with_values(problem, {RIPPLED: wave}))
+    assert not impossible_effects(problem, with_values(problem, {RIPPLED: wave}))
 
 
 @pytest.mark.parametrize(
@@ -114,7 +122,7 @@ def test_a_shape_parameter_outside_the_identifiable_range_is_rejected(
 ) -> None:
     h = with_values(problem, {term: values})
     coarse = replace(RecordedRange.of(problem), step=np.array([0.05]))
-    assert why in not_shown(problem, h, coarse)[term]
+    assert why in unidentifiable_effects(problem, h, coarse)[term]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +137,7 @@ def test_a_shape_parameter_outside_the_identifiable_range_is_rejected(
 def test_a_shape_parameter_within_the_identifiable_range_is_accepted(
     problem: Problem, term: Term, values: dict[str, float]
 ) -> None:
-    assert not not_shown(problem, with_values(problem, {term: values}))
+    assert not unidentifiable_effects(problem, with_values(problem, {term: values}))
 
 
 def test_no_starting_value_is_outside_the_identifiable_range(problem: Problem) -> None:

@@ -12,20 +12,20 @@ from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
-from pytest_twin.diagnosis.findings import explain
-from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.findings import build_explanation
+from pytest_twin.diagnosis.fit import FittedModel, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import Spread
-from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.intervals import ParameterUncertainty
+from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search import model_comparison
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.pruning import keep_named, prune
+from pytest_twin.diagnosis.search.pruning import prune, prune_by_likelihood
 from pytest_twin.diagnosis.search.pruning_rules import (
     RefitComparison,
     alternatives_more_likely,
     at_bound_or_in_doubt,
-    in_doubt,
+    is_in_doubt,
     may_be_absent,
     removes_too_little,
     residual_remains,
@@ -38,7 +38,7 @@ from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 
 
-def prepared_case(folder: Path, **hidden: float) -> tuple[Prepared, list[Trial]]:
+def prepared_case(folder: Path, **hidden: float) -> tuple[PreparedProblem, list[Trial]]:
     """Two pendulums with hidden effects at one; the second recording is held out."""
     (folder / "model.xml").write_text(mjcf())
     realization = load_model(folder / "model.xml").realization
@@ -53,7 +53,7 @@ def prepared_case(folder: Path, **hidden: float) -> tuple[Prepared, list[Trial]]
 
 
 def selected_term(
-    prepared: Prepared, term: Term, start: float, *, fitted: bool = True
+    prepared: PreparedProblem, term: Term, start: float, *, fitted: bool = True
 ) -> SelectedModel:
     """The result of a search that selected one term."""
     problem = prepared.problem
@@ -70,7 +70,7 @@ def selected_term(
 
 def refit_comparison(
     problem: Problem,
-    fitted: Fitted,
+    fitted: FittedModel,
     *floors: Sequence[float],
     confidence: Mapping[Term, float] | None = None,
 ) -> RefitComparison:
@@ -83,7 +83,7 @@ def refit_comparison(
 
 
 def refit_of_first_joint(
-    problem: Problem, fitted: Fitted, left: float, without: float, nominal: float = 100.0
+    problem: Problem, fitted: FittedModel, left: float, without: float, nominal: float = 100.0
 ) -> RefitComparison:
     """A fit at the first joint with these errors in floors."""
     return refit_comparison(problem, fitted, (nominal, 1.0), (left, 1.0), (without, 1.0))
@@ -117,7 +117,7 @@ def test_an_effect_at_its_physical_bound_with_a_large_residual_is_rejected(tmp_p
     prepared, trials = prepared_case(tmp_path, viscous=0.6)
     term = Term("coulomb_friction", 0)
     selected = selected_term(prepared, term, term.parameters[0].upper, fitted=False)
-    found = explain(prepared, selected, prune(prepared.problem, selected), trials)
+    found = build_explanation(prepared, selected, prune(prepared.problem, selected), trials)
     assert not found.findings
     assert any("coulomb_friction at left" in n and "physical bound" in n for n in found.notes)
 
@@ -134,7 +134,7 @@ def test_an_effect_with_a_shape_parameter_at_its_bound_and_a_large_residual_is_r
     prepared, _ = prepared_case(tmp_path, viscous=0.6)
     problem, term = prepared.problem, Term("stribeck_friction", 0)
     shaped = EMPTY.with_term(term, np.array([1.0, 0.5, speed]))
-    assert not shaped.at_bound(term)
+    assert not shaped.is_at_bound(term)
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [shaped], weights, problem.fit, iterations=0, slopes=True)[0]
 
@@ -164,7 +164,7 @@ def test_an_effect_is_rejected_only_if_an_alternative_is_clearly_more_likely(
         refit_comparison(
             problem, fitted, (100.0, 1.0), (20.0, 1.0), (90.0, 1.0), confidence={term: confidence}
         ),
-        rivals={term: rival},
+        likeliest_alternative={term: rival},
     )
     rejections = at_bound_or_in_doubt(tested)
     assert not rejections if is_accepted else "other effects are more likely" in rejections[0]
@@ -193,7 +193,7 @@ def test_presliding_with_the_shortest_distance_must_remove_more_error(
     (fitted,) = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)
     well_known = replace(fitted, jacobian=100.0 * fitted.jacobian)
     tested = refit_of_first_joint(problem, well_known, 1.0, without, nominal=10.0)
-    assert not may_be_absent(well_known, term, tested.known)
+    assert not may_be_absent(well_known, term, tested.uncertainty)
     rejections = removes_too_little(tested)
     assert list(rejections) == ([] if is_accepted else [0])
     for note in rejections.values():
@@ -214,9 +214,9 @@ def test_an_effect_with_a_wide_interval_is_kept_if_the_residual_without_it_is_mu
     weights = 1.0 / problem.signal_floor
     fitted = fit(problem, [start], weights, problem.fit, iterations=0, slopes=True)[0]
     flat = replace(fitted, jacobian=1e-6 * fitted.jacobian)
-    assert in_doubt(refit_of_first_joint(problem, flat, 40.0, without), 0) is not is_accepted
+    assert is_in_doubt(refit_of_first_joint(problem, flat, 40.0, without), 0) is not is_accepted
 
-    def rejected(present_fit: Fitted, without: float) -> list[Term]:
+    def rejected(present_fit: FittedModel, without: float) -> list[Term]:
         tested = refit_of_first_joint(problem, present_fit, 40.0, without)
         return [tested.terms[k] for k in at_bound_or_in_doubt(tested)]
 
@@ -307,9 +307,9 @@ def test_effects_that_were_found_in_windows_are_not_pruned_again(tmp_path: Path)
     term = Term("coulomb_friction", 0)
     selected = selected_term(prepared, term, 0.1)
     assert not prune(prepared.problem, selected).fitted.hypothesis.terms
-    pruned = keep_named(ModelComparison(prepared.problem), selected.best)
+    pruned = prune_by_likelihood(ModelComparison(prepared.problem), selected.best)
     assert [h.terms for h in pruned.reduced_models] == [()]
-    (found,) = explain(prepared, selected, pruned, trials).findings
+    (found,) = build_explanation(prepared, selected, pruned, trials).findings
     assert (found.effect, found.joint) == ("coulomb_friction", "left")
 
 
@@ -320,8 +320,8 @@ def test_an_effect_that_does_not_improve_whole_motions_is_rejected(tmp_path: Pat
     start = EMPTY.with_term(right, np.array([0.1])).with_term(unneeded, np.array([1e-3]))
     comparison = ModelComparison(problem)
     weights = 1.0 / problem.signal_floor
-    (best,) = comparison.rivals([start], comparison.nominal, 8, weights=weights, slopes=True)
-    pruned = keep_named(comparison, best)
+    (best,) = comparison.fit_models([start], comparison.nominal, 8, weights=weights, slopes=True)
+    pruned = prune_by_likelihood(comparison, best)
     assert pruned.fitted.hypothesis.terms == (right,)
     assert [h.terms for h in pruned.reduced_models] == [()]
     assert pruned.fitted.jacobian.shape[-1] == 1
@@ -333,7 +333,7 @@ def test_an_effect_that_does_not_improve_whole_motions_is_rejected(tmp_path: Pat
 def test_an_effect_that_explains_the_whole_error_is_kept(tmp_path: Path) -> None:
     prepared, trials = prepared_case(tmp_path, viscous=0.3)
     selected = selected_term(prepared, Term("viscous_friction", 0), 0.1)
-    found = explain(prepared, selected, prune(prepared.problem, selected), trials)
+    found = build_explanation(prepared, selected, prune(prepared.problem, selected), trials)
     assert [(f.effect, f.joint) for f in found.findings] == [("viscous_friction", "left")]
 
 
@@ -355,11 +355,11 @@ def test_a_search_adds_no_effects_when_its_simulations_are_used_up(
 ) -> None:
     prepared, _ = prepared_case(tmp_path, delay=0.02)
     monkeypatch.setattr(model_comparison, "COMPARISON", ComparisonSettings(simulations=0))
-    stepped = prepared.problem.stepped
+    stepped = prepared.problem.simulated_steps
     selection = EffectSelection(prepared.problem)
     selected = selection.refine(selection.comparison.nominal)
     assert not selected.best.hypothesis.terms
-    assert prepared.problem.stepped - stepped < 10 * prepared.problem.simulator.steps.sum()
+    assert prepared.problem.simulated_steps - stepped < 10 * prepared.problem.simulator.steps.sum()
 
 
 def test_effects_at_several_joints_allow_more_simulations(tmp_path: Path) -> None:
@@ -392,7 +392,9 @@ def test_findings_are_sorted_by_the_change_of_the_prediction_without_them(tmp_pa
     bare = fit(problem, [EMPTY], weights, problem.fit, iterations=0)[0]
     nominal = ScoredModel(bare, held[1], problem)
     selected = SelectedModel(best, nominal, confidence=dict.fromkeys(terms, 1.0))
-    found = explain(prepared, selected, prune(prepared.problem, selected), trials).findings
+    found = build_explanation(
+        prepared, selected, prune(prepared.problem, selected), trials
+    ).findings
     assert [f.effect for f in found] == ["viscous_friction", "command_delay"]
     assert found[0].influence > 2.0 * found[1].influence > 0.0
 
@@ -403,8 +405,8 @@ def test_an_effect_without_gradient_is_not_considered_absent(slope: float, absen
     term = Term("watchdog_timeout", 0)
     hypothesis = EMPTY.with_term(term, np.array([50.0, 0.05]))
     jacobian = np.ones((4, 1, 2)) * [slope, 1.0]
-    fitted = Fitted(hypothesis, np.zeros((4, 1)), jacobian, 0.0)
-    known = Spread(np.array([1e6, 1e-3]), np.eye(2), np.eye(2), 2.0, np.eye(2))
+    fitted = FittedModel(hypothesis, np.zeros((4, 1)), jacobian, 0.0)
+    known = ParameterUncertainty(np.array([1e6, 1e-3]), np.eye(2), np.eye(2), 2.0, np.eye(2))
     assert may_be_absent(fitted, term, known) is absent
 
 
@@ -422,10 +424,12 @@ def test_correlated_parameters_are_tested_together_for_absence(
     """Static and sliding friction are uncertain alone, but their sum may be certain."""
     term = Term("motor_load_friction", 0)
     hypothesis = EMPTY.with_term(term, np.array([0.1, 0.1, 0.5]))
-    fitted = Fitted(hypothesis, np.zeros((4, 1)), np.ones((4, 1, 3)), 0.0)
+    fitted = FittedModel(hypothesis, np.zeros((4, 1)), np.ones((4, 1, 3)), 0.0)
     correlation = np.eye(3)
     correlation[0, 1] = correlation[1, 0] = correlation_of_both
-    known = Spread(np.array([0.12, 0.12, 1.0]), correlation, np.eye(3), 2.0, np.eye(3))
+    known = ParameterUncertainty(
+        np.array([0.12, 0.12, 1.0]), correlation, np.eye(3), 2.0, np.eye(3)
+    )
     assert may_be_absent(fitted, term, known) is absent
 
 
@@ -433,9 +437,9 @@ def test_the_joint_confidence_region_contains_95_percent_of_normal_samples() -> 
     """The samples are of a correlated normal distribution."""
     random = np.random.default_rng(3)
     correlation = np.array([[1.0, -0.8], [-0.8, 1.0]])
-    known = Spread(np.full(2, 1.96), correlation, correlation, 1.96, correlation)
+    known = ParameterUncertainty(np.full(2, 1.96), correlation, correlation, 1.96, correlation)
     draws = random.multivariate_normal(np.zeros(2), correlation, 2000)
-    inside = np.mean([known.apart(np.arange(2), d) <= 1.0 for d in draws])
+    inside = np.mean([known.normalized_distance(np.arange(2), d) <= 1.0 for d in draws])
     assert inside == pytest.approx(0.95, abs=0.015)
 
 

@@ -38,18 +38,18 @@ def first_effect(two_errors: tuple[Realization, Trial], *failed: str) -> LikelyE
 
 def test_the_failed_joint_is_explained(two_errors: tuple[Realization, Trial]) -> None:
     found = first_effect(two_errors, "right")
-    assert (found.place, found.of) == (("viscous_friction", ("right",)), ("right",))
+    assert (found.place, found.explained_joints) == (("viscous_friction", ("right",)), ("right",))
     value, unit = found.values["coefficient"]
     assert unit == "N*m*s/rad"
     assert value == pytest.approx(-EXCESS, rel=0.15)
-    assert found.removed > 0.95
+    assert found.removed_share > 0.95
 
 
 def test_a_failed_joint_with_the_smaller_error_is_explained(
     two_errors: tuple[Realization, Trial],
 ) -> None:
     found = first_effect(two_errors, "left")
-    assert (found.place, found.of) == (("command_delay", ("left",)), ("left",))
+    assert (found.place, found.explained_joints) == (("command_delay", ("left",)), ("left",))
     assert found.values["delay"][0] == pytest.approx(0.02, abs=0.002)
 
 
@@ -60,14 +60,14 @@ def test_without_a_single_failed_joint_the_largest_error_is_explained(
     two_errors: tuple[Realization, Trial], failed: tuple[str, ...]
 ) -> None:
     found = first_effect(two_errors, *failed)
-    assert (found.place, found.of) == (("viscous_friction", ("right",)), ())
+    assert (found.place, found.explained_joints) == (("viscous_friction", ("right",)), ())
 
 
 def test_each_joint_that_failed_is_explained_by_its_own_cause(
     two_errors: tuple[Realization, Trial],
 ) -> None:
     seen = quick_diagnosis(*two_errors, failed=("left", "right"))
-    assert [(s.place, s.of) for s in seen.likely_effects] == [
+    assert [(s.place, s.explained_joints) for s in seen.likely_effects] == [
         (("viscous_friction", ("right",)), ()),
         (("command_delay", ("left",)), ("left",)),
     ]
@@ -100,13 +100,13 @@ def test_an_effect_is_named_alone_if_the_others_explain_clearly_less(
     tmp_path: Path, text: str, hidden: dict[str, float], effect: str
 ) -> None:
     found = only_effect(tmp_path, text, **hidden)
-    assert (found.place, found.rivals) == ((effect, ("left",)), ())
-    assert found.removed > 0.95
+    assert (found.place, found.alternatives) == ((effect, ("left",)), ())
+    assert found.removed_share > 0.95
 
 
 def test_a_delay_too_short_to_distinguish_from_a_lag_is_named_with_it(tmp_path: Path) -> None:
     found = only_effect(tmp_path, mjcf(), delay=0.008)
-    named = {found.place, *found.rivals}
+    named = {found.place, *found.alternatives}
     assert {("command_delay", ("left",)), ("actuator_lag", ("left",))} <= named
 
 

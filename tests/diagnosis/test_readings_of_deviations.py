@@ -86,7 +86,7 @@ def readings_at_each_stamp(linear: Linearization, column: ReadingChange) -> Floa
         first += len(time)
         read[:, joints:] = problem.weigh_efforts(int(s), read[:, joints:])
         if i in linear.starts:
-            read[:, :joints] = linear.starts[i].freed(read[:, :joints])
+            read[:, :joints] = linear.starts[i].without_initial_error(read[:, :joints])
         parts.append(read)
     stacked, ends = np.concatenate(parts), np.cumsum(linear.bins.counts)
     return np.array([part.mean(axis=0) for part in np.split(stacked, ends[:-1])])

@@ -11,7 +11,12 @@ from recorded_pendulum import Reality, cell
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
-from pytest_twin.diagnosis.signal_meaning.effort import Law, Signals, effort_fact, is_the_command
+from pytest_twin.diagnosis.signal_meaning.effort import (
+    JointLog,
+    LawFit,
+    effort_fact,
+    equals_command,
+)
 from pytest_twin.diagnosis.signal_meaning.velocity import velocity_fact, velocity_signal
 from pytest_twin.diagnosis.trials import read_trials
 
@@ -82,7 +87,7 @@ def settled(folder: Path, reality: Reality) -> tuple[RecordedSignals, tuple]:
     loaded = load_model(find_model(model))
     trials = read_trials(recordings, [], loaded.topics, loaded.realization.structure)
     found = determine_signals(ModelSetup.of(loaded.realization, None, 1), trials)
-    return found, found.applied(trials).fit
+    return found, found.apply(trials).fit
 
 
 @pytest.mark.parametrize("hidden", [{"lag": 0.012}, {"play": 0.01}], ids=["lag", "dead zone"])
@@ -125,13 +130,13 @@ def test_a_velocity_derived_from_positions_is_not_used_as_a_measurement(tmp_path
 
 
 def test_an_effort_lag_is_reported_only_if_every_possible_setpoint_needs_it() -> None:
-    needs, does_not = Law(0.0100, 0.002, 0.05), Law(0.0105, 0.0, 0.0105)
+    needs, does_not = LawFit(0.0100, 0.002, 0.05), LawFit(0.0105, 0.0, 0.0105)
     assert effort_fact(1.0, [needs, does_not], [], PERIOD).numbers["lag"][0] == 0.0
     assert effort_fact(1.0, [needs], [], PERIOD).numbers["lag"][0] == 0.002
 
 
 def test_efforts_that_no_servo_law_explains_have_no_determined_source() -> None:
-    fact = effort_fact(1.0, [Law(0.5, 0.0, 0.5)], [Law(0.6, 0.0, 0.6)], PERIOD)
+    fact = effort_fact(1.0, [LawFit(0.5, 0.0, 0.5)], [LawFit(0.6, 0.0, 0.6)], PERIOD)
     assert fact.value is None
     assert "does not explain" in fact.evidence
 
@@ -152,4 +157,4 @@ def test_efforts_that_repeat_the_effort_commands_are_detected(
     grid = np.arange(TIME[0], TIME[-1], PERIOD / 20)
     sent = np.interp(grid, TIME, position())
     effort = noisy(gain * np.interp(TIME - lag, grid, sent) + offset, 5e-3)
-    assert is_the_command(Signals(TIME, effort, grid, sent, None)) is repeats
+    assert equals_command(JointLog(TIME, effort, grid, sent, None)) is repeats

@@ -11,7 +11,7 @@ from two_pendulums import START_NS
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.hypothesis import EMPTY
-from pytest_twin.diagnosis.locate import motions
+from pytest_twin.diagnosis.locate import smooth_motions
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.windows import Cutting, segments_of
@@ -132,7 +132,7 @@ def test_the_exact_model_leaves_only_noise_in_the_parts(bench: Bench) -> None:
 def test_times_of_parts_are_on_the_clock_of_the_recording(bench: Bench) -> None:
     trials = bench.read(bench.write_recording_with_gaps("a.mcap", bench.seen, (150, 180)))
     prepared = prepare(bench.realization, trials.fit, [])
-    first, second = motions(prepared, trials.fit)
+    first, second = smooth_motions(prepared, trials.fit)
     assert first.name == second.name == "a.mcap"
     assert first.time[0] == 0.0
     assert second.time[-1] == pytest.approx(TIME[-1])

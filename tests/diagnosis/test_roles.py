@@ -11,7 +11,7 @@ from two_pendulums import DECLARED, JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
-from pytest_twin.diagnosis.findings import Explained, limit_unexplained_confidence
+from pytest_twin.diagnosis.findings import Explanation, limit_unexplained_confidence
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError
@@ -68,16 +68,16 @@ def four(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recorded, Diagnosis]
 def assert_test_recording_was_not_used(opened: Diagnosis, absent: Diagnosis) -> None:
     assert len(opened.tested.prepared.problem.held_out) == 1
     assert len(absent.tested.prepared.problem.held_out) == 0
-    assert [(f.effect, f.joint) for f in absent.explained.findings] == [
+    assert [(f.effect, f.joint) for f in absent.explanation.findings] == [
         ("viscous_friction", "left")
     ]
-    for one, other in zip(opened.explained.findings, absent.explained.findings, strict=True):
+    for one, other in zip(opened.explanation.findings, absent.explanation.findings, strict=True):
         assert (one.effect, one.joint) == (other.effect, other.joint)
         assert one.parameters == other.parameters
     np.testing.assert_array_equal(
-        opened.explained.hypothesis.theta, absent.explained.hypothesis.theta
+        opened.explanation.hypothesis.theta, absent.explanation.hypothesis.theta
     )
-    (gain,) = (f.held_out_gain for f in opened.explained.findings)
+    (gain,) = (f.held_out_gain for f in opened.explanation.findings)
     assert gain < 0.97, "the gain must be that of the test recording, which has more friction"
 
 
@@ -120,7 +120,7 @@ def test_a_finding_that_the_held_out_recordings_contradict_has_at_most_half_conf
     test = record(tmp_path / "test.mcap", 9, joints=LEFT, seconds=1.2, viscous=-0.02)
     realization = load_model(tmp_path / "model.xml").realization
     found = diagnose(realization, read(tmp_path, fit, [test]), threads=1)
-    (finding,) = found.explained.findings
+    (finding,) = found.explanation.findings
     assert finding.held_out_gain < 0.0
     assert finding.confidence <= 0.5
     expected = (
@@ -133,13 +133,13 @@ def test_a_finding_at_a_joint_with_a_residual_has_at_most_80_percent_confidence(
     four: tuple[Recorded, Diagnosis],
 ) -> None:
     """Something else acts at the joint, and the finding may be only similar to it."""
-    explained = four[1].explained
-    (finding,) = explained.findings
-    sure = replace(explained, findings=(replace(finding, confidence=1.0),))
-    of_robot = replace(explained, findings=(replace(finding, confidence=1.0, joint=None),))
+    explanation = four[1].explanation
+    (finding,) = explanation.findings
+    sure = replace(explanation, findings=(replace(finding, confidence=1.0),))
+    of_robot = replace(explanation, findings=(replace(finding, confidence=1.0, joint=None),))
     noise, residual = (JointError(1.0, after, 0.01, "rad") for after in (0.01, 0.5))
 
-    def confidence(of: Explained, **errors: JointError) -> float:
+    def confidence(of: Explanation, **errors: JointError) -> float:
         (found,) = limit_unexplained_confidence(of, errors).findings
         return found.confidence
 
@@ -216,7 +216,7 @@ def test_a_joint_that_held_out_recordings_lack_is_diagnosed_and_not_tested(tmp_p
     one = record(tmp_path / "one.mcap", 5, joints=LEFT, seconds=1.2)
     realization = load_model(tmp_path / "model.xml").realization
     found = diagnose(realization, read(tmp_path, both, [one]), threads=1)
-    assert [(f.effect, f.joint) for f in found.explained.findings] == [
+    assert [(f.effect, f.joint) for f in found.explanation.findings] == [
         ("viscous_friction", "right")
     ]
     assert set(found.errors) == {"left"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_first_order import problem_of
 
-from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.fit import FittedModel
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.scored_model import Place, ScoredModel, SelectedModel
@@ -20,7 +20,7 @@ def scored(problem: Problem, *terms: Term) -> ScoredModel:
     for term in terms:
         hypothesis = hypothesis.with_term(term, np.zeros(len(term.parameters)))
     none = np.zeros((1, 1))
-    return ScoredModel(Fitted(hypothesis, none, none[..., None], 0.0), none, problem)
+    return ScoredModel(FittedModel(hypothesis, none, none[..., None], 0.0), none, problem)
 
 
 def test_the_confidence_of_an_effect_follows_from_the_evidence_of_its_single_alternatives() -> None:

@@ -10,7 +10,11 @@ from test_first_order import CRANK_JOINT, ELBOW, ROBOT, SHOULDER, carried, link,
 from pytest_twin.diagnosis.first_order.sensitivities import linearize
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.elimination import eliminate, tolerances, undecided
+from pytest_twin.diagnosis.search.elimination import (
+    eliminate,
+    evidence_tolerance,
+    plausible_simplifications,
+)
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.simplification import (
     equal_sized_forms,
@@ -101,7 +105,9 @@ def test_a_smaller_torque_constant_and_less_friction_can_be_merged_into_servo_ga
     comparison = ModelComparison(problem)
     best = scored_model(comparison, two)
     linear = linearize(problem, problem.fit, two)
-    (both,) = undecided(comparison, best, linear, merge_terms(problem, two), lambda other: 0.0)
+    (both,) = plausible_simplifications(
+        comparison, best, linear, merge_terms(problem, two), lambda other: 0.0
+    )
     assert set(both.terms) == {BACKLASH, gain}
     assert both.theta[both.slice_of(gain)] == pytest.approx([-0.26, -0.4], abs=0.01)
 
@@ -141,7 +147,7 @@ def test_a_heavier_link_is_reduced_to_its_simplest_form() -> None:
     problem = problem_of("position", {LINK: link(0, relative_error=0.4)})
     comparison = ModelComparison(problem)
     start = single_effect(problem, LINK, link(3, mass_error=0.4, inertia_error=0.4))
-    best = comparison.fit_to_convergence(comparison.rivals([start], comparison.nominal, 2)[0])
+    best = comparison.fit_to_convergence(comparison.fit_models([start], comparison.nominal, 2)[0])
     assert form_of(best.hypothesis, LINK) == 3.0
     simplest = eliminate(comparison, best).best.hypothesis
     assert form_of(simplest, LINK) == 0.0
@@ -153,7 +159,7 @@ def test_a_simpler_form_may_have_less_evidence_by_a_share_of_that_of_its_law() -
     comparison = ModelComparison(problem)
     true = single_effect(problem, LINK, link(3, mass_error=0.5, tangential=0.02))
     best = scored_model(comparison, true)
-    tolerance = tolerances(comparison, best, linearize(problem, problem.fit, true))
+    tolerance = evidence_tolerance(comparison, best, linearize(problem, problem.fit, true))
     simpler = single_effect(problem, LINK, link(1, mass_error=0.5))
     assert tolerance(simpler) > 5.0
     assert tolerance(EMPTY) == 0.0
@@ -204,7 +210,7 @@ def test_inertia_of_link_or_rotor_that_cannot_be_distinguished_is_assigned_to_th
     problem = problem_of("effort", {CRANK_ROTOR: {"inertia": 0.02}})
     comparison = ModelComparison(problem)
     start = single_effect(problem, CRANK_LINK, link(2, inertia_error=2.0))
-    best = comparison.fit_to_convergence(comparison.rivals([start], comparison.nominal, 2)[0])
+    best = comparison.fit_to_convergence(comparison.fit_models([start], comparison.nominal, 2)[0])
     assert best.hypothesis.terms == (CRANK_LINK,)
     simplest = eliminate(comparison, best).best.hypothesis
     assert simplest.terms == (CRANK_ROTOR,)

@@ -16,7 +16,7 @@ from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals
 from pytest_twin.diagnosis.signal_meaning.step_times import (
-    fitted_shares,
+    fit_step_shares,
     step_intervals,
     with_steps_at,
 )
@@ -35,12 +35,12 @@ def read(folder: Path, reality: Reality, *, seconds: float = 2.5) -> tuple[Model
     return ModelSetup.of(loaded.realization, None, 1), trials
 
 
-def settled(given: ModelSetup, trials: TrialSet) -> RecordedSignals:
-    return determine_signals(given, replace(trials, held_out=()))
+def settled(setup: ModelSetup, trials: TrialSet) -> RecordedSignals:
+    return determine_signals(setup, replace(trials, held_out=()))
 
 
-def rms(given: ModelSetup, trial: Trial) -> float:
-    prepared, _ = build_problem(given, TrialSet((trial,), (), ()), [])
+def rms(setup: ModelSetup, trial: Trial) -> float:
+    prepared, _ = build_problem(setup, TrialSet((trial,), (), ()), [])
     problem = prepared.problem
     return float(np.sqrt(np.mean(problem.residuals([EMPTY], problem.fit)[0] ** 2)))
 
@@ -56,7 +56,7 @@ def test_each_time_is_the_weighted_least_squares_estimate(seed: int) -> None:
     sizes = np.array([0.05, 0.002])
     change = response.sum(axis=1)[:, None] * sizes
     early = -(response @ shares)[:, None] * sizes + 1e-6 * rng.standard_normal((len(time), 2))
-    found = fitted_shares(early, early + change, time, starts)
+    found = fit_step_shares(early, early + change, time, starts)
     np.testing.assert_allclose(found, shares, atol=2e-3)
 
 
@@ -65,7 +65,7 @@ def test_a_step_that_the_motion_does_not_show_stays_in_the_middle() -> None:
     time = np.arange(0.0, 1.0, 0.004)
     noise = 1e-3 * rng.standard_normal((len(time), 1))
     change = 1e-6 * np.where(time > 0.5, np.exp(-(time - 0.5) / 0.05), 0.0)[:, None]
-    assert fitted_shares(noise, noise + change, time, np.array([0.5])) == pytest.approx(
+    assert fit_step_shares(noise, noise + change, time, np.array([0.5])) == pytest.approx(
         0.5, abs=0.05
     )
 
@@ -85,32 +85,32 @@ def test_the_setpoint_steps_at_its_time_and_other_joints_move_on(tmp_path: Path)
 
 
 def test_the_times_of_steps_are_found_with_the_interpolation(tmp_path: Path) -> None:
-    given, trials = read(tmp_path, STEPPING)
-    found = settled(given, trials)
+    setup, trials = read(tmp_path, STEPPING)
+    found = settled(setup, trials)
     (times,) = found.steps
-    used = found.applied(trials)
+    used = found.apply(trials)
     shares = [times.shares(t) for t in (*trials.fit, *trials.held_out)]
     assert [s is not None for s in shares] == [False, False, True, True]
     known = np.concatenate([s for s in shares if s is not None])
     np.testing.assert_allclose(known, SHARE, atol=0.08)
     assert any("commands step between two stamps" in n for n in used.notes)
     line = replace(trials.fit[2], command_between="interpolated")
-    assert rms(given, used.fit[2]) < 0.3 * rms(given, line)
+    assert rms(setup, used.fit[2]) < 0.3 * rms(setup, line)
 
 
 def test_held_commands_step_at_their_stamps(tmp_path: Path) -> None:
-    given, trials = read(tmp_path, replace(STEPPING, between="held", command_period=0.04))
-    found = settled(given, trials)
+    setup, trials = read(tmp_path, replace(STEPPING, between="held", command_period=0.04))
+    found = settled(setup, trials)
     assert found.steps == ()
-    assert len(found.applied(trials).fit[2].command) == len(trials.fit[2].command)
+    assert len(found.apply(trials).fit[2].command) == len(trials.fit[2].command)
 
 
 def test_a_delay_of_the_drive_is_not_taken_for_late_steps(tmp_path: Path) -> None:
-    given, trials = read(tmp_path, replace(STEPPING, delay=0.006))
+    setup, trials = read(tmp_path, replace(STEPPING, delay=0.006))
     declared = tuple(
         replace(t, command_between="interpolated", between_source="metadata") for t in trials.fit
     )
-    found = settled(given, replace(trials, fit=declared, held_out=()))
+    found = settled(setup, replace(trials, fit=declared, held_out=()))
     assert found.between == ()
     (times,) = found.steps
     assert times.shares(declared[2]) == pytest.approx(SHARE, abs=0.08)

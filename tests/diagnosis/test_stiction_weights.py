@@ -71,7 +71,7 @@ def recorded(folder: Path, friction: float, distance: float) -> Trial:
 
 def test_small_presliding_is_no_mismatch(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, DRY, 2e-4)).problem
-    everywhere = problem.everywhere
+    everywhere = problem.all_segments
     (unweighted,), (weighted,) = (
         f([EMPTY], everywhere) for f in (problem.errors, problem.residuals)
     )
@@ -89,11 +89,11 @@ def test_dry_friction_that_the_model_lacks_keeps_its_full_weight(tmp_path: Path)
     problem = prepared(tmp_path, recorded(tmp_path, 0.0, 2e-4)).problem
     assert problem.position_weights == {}
     assert notes_on_low_weights(problem) == []
-    (left,) = problem.residuals([EMPTY], problem.everywhere)
+    (left,) = problem.residuals([EMPTY], problem.all_segments)
     assert np.sqrt(np.mean(left[:, 0] ** 2)) > 30.0 * problem.floor[0]
 
 
 def test_large_presliding_leaves_a_residual_above_the_noise_floor(tmp_path: Path) -> None:
     problem = prepared(tmp_path, recorded(tmp_path, DRY, 5e-3)).problem
-    (left,) = problem.residuals([EMPTY], problem.everywhere)
+    (left,) = problem.residuals([EMPTY], problem.all_segments)
     assert np.sqrt(np.mean(left[:, 0] ** 2)) > 2.0 * VERDICT.at_floor * problem.floor[0]

@@ -33,7 +33,7 @@ from pytest_twin.diagnosis.structure_search.proposals import (
     best_of_each_size,
     removals,
 )
-from pytest_twin.diagnosis.structure_search.score import Model
+from pytest_twin.diagnosis.structure_search.score import SimulatedModel
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.diagnosis.trials import read_trials
 
@@ -65,13 +65,13 @@ def test_exactly_the_hidden_effects_are_found_with_less_than_150_simulations(
     tmp_path: Path, hidden: dict[str, float], names: set[str]
 ) -> None:
     problem = problem_of(tmp_path, **hidden)
-    before = problem.stepped
+    before = problem.simulated_steps
     run = Run()
     result = StructureSearch(problem, run).run()
     found = {t.effect for t in result.model.hypothesis.terms}
     # With one joint, a command delay cannot be distinguished from a sensor delay.
     assert {"command_delay" if e == "sensor_delay" else e for e in found} == names
-    assert (problem.stepped - before) / problem.simulator.steps.sum() < 150
+    assert (problem.simulated_steps - before) / problem.simulator.steps.sum() < 150
     left = np.sqrt(result.model.mean_square) / problem.signal_floor
     assert left.max() < 2.0
     accepted = [s for s in run.trace.steps if s.decision == "accepted"]
@@ -88,10 +88,10 @@ def test_a_small_effect_of_another_signal_is_accepted_beside_a_large_one(tmp_pat
     )  # fmt: skip
     noise = np.random.default_rng(0).standard_normal((sum(problem.lengths(problem.fit)), 2))
 
-    def model(effects: int, *levels: float) -> Model:
+    def model(effects: int, *levels: float) -> SimulatedModel:
         terms = [Term("viscous_friction", 0), Term("command_delay", 0)][:effects]
         h = EMPTY.with_terms({t: np.array([1.0]) for t in terms})
-        return Model(h, noise * np.array(levels), np.zeros((0, 2)), problem)
+        return SimulatedModel(h, noise * np.array(levels), np.zeros((0, 2)), problem)
 
     scorer.nominal = model(0, 1.0, 2e-4)
     one, same_joint = model(1, 1e-4, 2e-4), model(2, 0.9e-4, 2e-4)
@@ -113,17 +113,17 @@ def test_where_the_linearization_shows_nothing_candidates_are_simulated(
 
     problem = problem_of(tmp_path, viscous=0.03)
     monkeypatch.setattr(search_module, "linearize_around", blind)
-    before = problem.stepped
+    before = problem.simulated_steps
     result = StructureSearch(problem).run()
     assert [t.effect for t in result.model.hypothesis.terms] == ["viscous_friction"]
-    assert (problem.stepped - before) / problem.simulator.steps.sum() < 250
+    assert (problem.simulated_steps - before) / problem.simulator.steps.sum() < 250
 
 
 def test_sets_that_explain_nearly_as_much_are_kept_best_first(tmp_path: Path) -> None:
     result = StructureSearch(problem_of(tmp_path, delay=0.02)).run()
     (found,) = result.model.hypothesis.terms
     assert found.effect == "command_delay"
-    behind = {m.hypothesis.terms: gain for m, gain in result.rivals}
+    behind = {m.hypothesis.terms: gain for m, gain in result.rejected_models}
     (late_readings,) = (t for t in behind if [x.effect for x in t] == ["sensor_delay"])
     near = [h.terms for h in result.nearly_as_good(1.0 - behind[late_readings])]
     assert late_readings in near
@@ -134,10 +134,10 @@ def test_sets_that_explain_nearly_as_much_are_kept_best_first(tmp_path: Path) ->
 def test_when_time_runs_out_the_best_simulated_proposal_is_the_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def out_of_time(*arguments: object) -> list[Model]:
+    def out_of_time(*arguments: object) -> list[SimulatedModel]:
         raise OutOfTime
 
-    monkeypatch.setattr(search_module, "corrected_fits", out_of_time)
+    monkeypatch.setattr(search_module, "fit_with_correction", out_of_time)
     result = StructureSearch(problem_of(tmp_path, viscous=0.03)).run()
     assert [t.effect for t in result.model.hypothesis.terms] == ["viscous_friction"]
     assert not result.is_complete
@@ -172,7 +172,7 @@ def test_without_time_for_exchanges_elastic_transmissions_are_no_alternatives(
 def test_a_search_without_time_keeps_the_effects_that_it_starts_with(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def out_of_time(*arguments: object) -> tuple[Model, np.ndarray]:
+    def out_of_time(*arguments: object) -> tuple[SimulatedModel, np.ndarray]:
         raise OutOfTime
 
     monkeypatch.setattr(search_module, "fit_by_simulation", out_of_time)

@@ -49,7 +49,7 @@ def test_a_finding_at_a_joint_with_a_stuck_encoder_has_at_most_half_confidence(
     trials = read_trials(files, (), loaded.topics, loaded.realization.structure)
     found = diagnose(loaded.realization, trials, threads=1)
     assert set(found.errors) == {"shoulder"}
-    at_elbow = [f for f in found.explained.findings if f.joint == "elbow"]
+    at_elbow = [f for f in found.explanation.findings if f.joint == "elbow"]
     assert [f.effect for f in at_elbow] == ["viscous_friction"]
     assert all(f.confidence <= 0.5 for f in at_elbow)
     estimate = at_elbow[0].parameters["coefficient"]

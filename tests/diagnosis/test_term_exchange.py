@@ -12,13 +12,13 @@ from test_first_order import ELBOW, ROBOT, SHOULDER, carried, problem_of
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.refusal import refused
+from pytest_twin.diagnosis.refusal import refused_effects
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search import alternatives
 from pytest_twin.diagnosis.search.alternatives import AlternativeComparison
-from pytest_twin.diagnosis.search.elimination import Eliminated, have_same_forms
+from pytest_twin.diagnosis.search.elimination import EliminationResult, have_same_forms
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
-from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
+from pytest_twin.diagnosis.search.model_comparison import DECIDING_ITERATIONS, ModelComparison
 from pytest_twin.diagnosis.search.scored_model import (
     ScoredModel,
     SelectedModel,
@@ -53,7 +53,9 @@ def converged(comparison: ModelComparison, *terms: Term) -> ScoredModel:
     start = EMPTY
     for t in terms:
         start = start.with_term(t, starting_grid(t)[0][0])
-    return comparison.fit_to_convergence(comparison.rivals([start], comparison.nominal, FAIR)[0])
+    return comparison.fit_to_convergence(
+        comparison.fit_models([start], comparison.nominal, DECIDING_ITERATIONS)[0]
+    )
 
 
 def exchanges(
@@ -118,10 +120,10 @@ def test_an_alternative_is_scored_with_its_own_discretization_error(
     monkeypatch.setattr(Problem, "at", at)
     for evidence in (-3.0, -1e5, 10.0):
         rival.evidence = evidence
-        assert AlternativeComparison(comparison).judge_with_own_correction(rival, best) is rival
+        assert AlternativeComparison(comparison).score_with_own_correction(rival, best) is rival
     assert corrected_at == []
     rival.evidence = -400.0
-    assert AlternativeComparison(comparison).judge_with_own_correction(rival, best).evidence > 0.0
+    assert AlternativeComparison(comparison).score_with_own_correction(rival, best).evidence > 0.0
     assert corrected_at == [rival.hypothesis]
 
 
@@ -129,8 +131,10 @@ def test_both_effects_of_an_exchange_are_kept_if_together_they_are_better() -> N
     problem = problem_of("position", FRICTION)
     comparison = ModelComparison(problem)
     best, top = converged(comparison, DRAG), converged(comparison, DRY)
-    comparison.judge([top], best)
-    assert set(AlternativeComparison(comparison).kept_in_addition(best, top).hypothesis.terms) == {
+    comparison.score_models([top], best)
+    assert set(
+        AlternativeComparison(comparison).exchange_or_addition(best, top).hypothesis.terms
+    ) == {
         DRAG,
         DRY,
     }
@@ -138,8 +142,8 @@ def test_both_effects_of_an_exchange_are_kept_if_together_they_are_better() -> N
     other = problem_of("position", {DRY: FRICTION[DRY]})
     comparison = ModelComparison(other)
     best, top = converged(comparison, DRAG), converged(comparison, DRY)
-    comparison.judge([top], best)
-    assert AlternativeComparison(comparison).kept_in_addition(best, top) is top
+    comparison.score_models([top], best)
+    assert AlternativeComparison(comparison).exchange_or_addition(best, top) is top
 
 
 def test_the_search_exchanges_two_wrong_effects_for_the_right_one(with_payload: Problem) -> None:
@@ -236,7 +240,10 @@ def test_the_right_effect_is_an_alternative_although_it_is_also_better_as_an_add
     assert selected.confidence[DRAG] < 1e-3
     # Another law of dry friction may be exchanged first.
     selected.best = exchanged.best
-    again = AlternativeComparison(comparison).exchange(selected, exchanged.losses) or exchanged
+    again = (
+        AlternativeComparison(comparison).exchange(selected, exchanged.simplification_evidence)
+        or exchanged
+    )
     assert again.best.hypothesis.terms == (DRY,)
 
 
@@ -252,7 +259,7 @@ def test_two_effects_that_are_exchanged_for_each_other_are_equally_likely(
     drag = Term("quadratic_drag", DRAG.joint)
     best = converged(comparison, drag)
     selected = SelectedModel(best, comparison.nominal)
-    monkeypatch.setattr(alternatives, "eliminate", lambda *_: Eliminated(best, {}))
+    monkeypatch.setattr(alternatives, "eliminate", lambda *_: EliminationResult(best, {}))
     assert AlternativeComparison(comparison).exchange(selected, {}) is None
     shares = {t.effect: share for t, share in selected.alternatives[drag]}
     last = run.trace.steps[-1]
@@ -273,9 +280,9 @@ def test_an_effect_is_not_exchanged_for_one_that_cannot_exist() -> None:
     problem = problem_of("position", {DRAG: {"coefficient": -0.4}})
     comparison = ModelComparison(problem)
     best, other = (converged(comparison, term) for term in (SPRING, DRAG))
-    comparison.judge([other], best)
+    comparison.score_models([other], best)
     assert other.evidence > 1.0
-    assert refused(problem, other.hypothesis)
+    assert refused_effects(problem, other.hypothesis)
     selected = SelectedModel(best, comparison.nominal)
     exchanged = AlternativeComparison(comparison).exchange(selected, {})
     kept = selected.best if exchanged is None else exchanged.best
@@ -316,7 +323,7 @@ def test_only_alternatives_that_lose_little_evidence_are_simulated(
 ) -> None:
     comparison = ModelComparison(with_payload)
     best = scored_model(comparison, single_effect(with_payload, MASS, CARRIED))
-    monkeypatch.setattr(comparison, "rivals", lambda starts, *rest: [best] * len(starts))
+    monkeypatch.setattr(comparison, "fit_models", lambda starts, *rest: [best] * len(starts))
     compared, removed = AlternativeComparison(comparison), (MASS,)
 
     def simulated(lost: float, behind: float) -> list[Term | None]:

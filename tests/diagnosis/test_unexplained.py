@@ -7,16 +7,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.pruning import PrunedModel
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem, residuals_everywhere
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.unexplained import unexplained
+from pytest_twin.diagnosis.unexplained import locate_unexplained
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.realization import load
@@ -56,7 +56,7 @@ def recorded(folder: Path, seed: int) -> Path:
     return path
 
 
-def search_without_findings(prepared: Prepared, trials: TrialSet) -> SearchResult:
+def search_without_findings(prepared: PreparedProblem, trials: TrialSet) -> SearchResult:
     """The result of a search that found no effect."""
     problem = prepared.problem
     left = residuals_everywhere(problem, EMPTY)
@@ -69,7 +69,7 @@ def search_without_findings(prepared: Prepared, trials: TrialSet) -> SearchResul
         trials,
         selected,
         PrunedModel(nominal.fitted, [], []),
-        Explained((), EMPTY),
+        Explanation((), EMPTY),
         left,
         left,
         errors,
@@ -89,15 +89,15 @@ def test_a_cable_under_a_velocity_servo_is_located_where_it_pulls(tmp_path: Path
     realization = load(tmp_path / "arm.xml")
     recordings = [read_recording(recorded(tmp_path, seed)) for seed in (1, 2)]
     fit, held_out = (make_trial(r, realization.structure) for r in recordings)
-    given = ModelSetup(realization, threads=1)
-    whole, trials = build_problem(given, TrialSet((fit,), (held_out,), ()), [])
-    cut, kept = build_problem(given, trials, [], window=0.5)
+    setup = ModelSetup(realization, threads=1)
+    whole, trials = build_problem(setup, TrialSet((fit,), (held_out,), ()), [])
+    cut, kept = build_problem(setup, trials, [], window=0.5)
     found = search_without_findings(whole, trials)
-    place = unexplained(found, cut, kept)["lift"].where
+    place = locate_unexplained(found, cut, kept)["lift"].where
     low, high = (float(x) for x in place.summary.split(" rad (")[0].split()[1::2])
     assert TAUT - 0.02 < low < high < TAUT + 0.2
     assert set(place.windows) == {"1.mcap", "2.mcap"}
-    of_whole_motions = unexplained(found, whole, trials)["lift"].where
+    of_whole_motions = locate_unexplained(found, whole, trials)["lift"].where
     near, far = (
         [
             share_in(where.windows[t.path.name], t.time, t.position[:, 0] > TAUT)

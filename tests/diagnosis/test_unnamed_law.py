@@ -16,16 +16,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from one_joint_plant import JOINT, STEP, Hidden, record
 
-from pytest_twin.diagnosis.findings import Explained
+from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched, read_effects
-from pytest_twin.diagnosis.patched.ranges import outside_in_words
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel, read_effects
+from pytest_twin.diagnosis.patched.ranges import describe_range_exits
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.pruning import PrunedModel
 from pytest_twin.diagnosis.search.scored_model import SelectedModel
@@ -102,7 +102,9 @@ def _random_torques(steps: int, recordings: int) -> np.ndarray:
 RANDOM_TORQUES = _random_torques(round(10.0 / STEP), 5)
 
 
-def prepared_case(folder: Path, hidden: Hidden, window: float | None) -> tuple[Prepared, TrialSet]:
+def prepared_case(
+    folder: Path, hidden: Hidden, window: float | None
+) -> tuple[PreparedProblem, TrialSet]:
     paths = sorted(folder.glob("*.mcap")) or record(folder, hidden)
     realization = load(folder / "model.xml")
     trials = read_trials(paths, [], TOPICS, realization.structure)
@@ -187,7 +189,7 @@ def test_the_fitted_curve_equals_the_hidden_force_within_its_confidence_band(
     assert "a pull towards 0.25 rad" in law.words
 
 
-def search_without_findings(prepared: Prepared, trials: TrialSet) -> SearchResult:
+def search_without_findings(prepared: PreparedProblem, trials: TrialSet) -> SearchResult:
     """The result of a search that found no effect."""
     problem = prepared.problem
     nominal = ModelComparison(problem).nominal
@@ -198,7 +200,7 @@ def search_without_findings(prepared: Prepared, trials: TrialSet) -> SearchResul
         trials,
         SelectedModel(nominal, nominal),
         PrunedModel(nominal.fitted, [], []),
-        Explained((), EMPTY),
+        Explanation((), EMPTY),
         left,
         left,
         errors,
@@ -210,10 +212,10 @@ def test_a_law_is_tested_on_held_out_recordings_then_written_and_replayed(tmp_pa
     """A replay with the written table has the reported error on the held-out recordings."""
     realization = load((record(tmp_path, magnet)[0].parent) / "model.xml")
     whole, trials = prepared_case(tmp_path, magnet, None)
-    given = ModelSetup.of(realization, None, 1)
+    setup = ModelSetup.of(realization, None, 1)
     fit_only = replace(trials, held_out=())
-    fitted, kept = build_problem(given, fit_only, [], scales=whole.problem.scales)
-    laws = fit_laws_to_residual(given, search_without_findings(fitted, kept), None)
+    fitted, kept = build_problem(setup, fit_only, [], scales=whole.problem.scales)
+    laws = fit_laws_to_residual(setup, search_without_findings(fitted, kept), None)
     tested = confirm_on_test(laws, fitted.problem, search_without_findings(whole, trials))
     ((law, gain),) = tested.laws
     assert gain > 0.9
@@ -254,12 +256,12 @@ def test_a_replay_outside_the_range_of_a_law_is_reported(tmp_path: Path) -> None
     record(tmp_path, magnet, seconds=0.1, count=1)
     law = UnnamedLaw()
     values = law.parameters_of(POSITION, (0.0, 1.0), (0.0, 1.0), np.ones(KNOTS))
-    patched = Patched((JOINT,), (AppliedEffect(law.id, JOINT, values, is_in_mjcf=False),))
+    patched = PatchedModel((JOINT,), (AppliedEffect(law.id, JOINT, values, is_in_mjcf=False),))
     time = np.arange(0.0, 2.0, 0.1)
     inside, beyond = np.full((20, 1), 0.5), np.linspace(0.05, 2.0, 20)[:, None]
     realization = load(tmp_path / "model.xml")
     reports = [
-        outside_in_words(realization, patched, time, Predicted(q, 0.0 * q, 0.0 * q))
+        describe_range_exits(realization, patched, time, Predicted(q, 0.0 * q, 0.0 * q))
         for q in (inside, beyond)
     ]
     assert reports[0] == ()

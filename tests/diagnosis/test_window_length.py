@@ -77,21 +77,23 @@ def search_without_result(folder: Path, load: float) -> tuple[ModelSetup, Search
         for s, r in ((1, "fit"), (2, "fit"), (3, "held_out"))
     ]
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
-    given = ModelSetup.of(loaded.realization, None, 1)
-    prepared, trials = build_problem(given, trials, [])
-    return given, search(prepared, trials, EffectSelection(prepared.problem, share_left=0.0))
+    setup = ModelSetup.of(loaded.realization, None, 1)
+    prepared, trials = build_problem(setup, trials, [])
+    return setup, search(
+        prepared, trials, EffectSelection(prepared.problem, max_residual_share=0.0)
+    )
 
 
 def test_a_payload_that_makes_the_arm_diverge_is_found_in_shorter_windows(
     heavy: tuple[ModelSetup, SearchResult],
 ) -> None:
-    given, found = heavy
+    setup, found = heavy
     assert found.verdict == "unexplained"
-    assert found.has_left_recordings
+    assert found.departs_from_recordings
     run = Run()
-    better = search_shorter_windows(found, given, run)
+    better = search_shorter_windows(found, setup, run)
     assert better.verdict == "explained"
-    assert {t.law.family for t in better.explained.hypothesis.terms} == {"rigid_body"}
+    assert {t.law.family for t in better.explanation.hypothesis.terms} == {"rigid_body"}
     shorter = run.budget.problems[0]
     lengths = [s.time[-1] - s.time[0] for s in shorter.simulator.segments]
     assert max(lengths) < 0.3, "the model must follow the recordings within a window"
@@ -103,7 +105,7 @@ def test_a_payload_that_makes_the_arm_diverge_is_found_in_shorter_windows(
 
 def test_a_model_that_follows_the_recordings_needs_no_shorter_windows(light: SearchResult) -> None:
     assert light.verdict == "unexplained"
-    assert not light.has_left_recordings
+    assert not light.departs_from_recordings
 
 
 def test_a_model_follows_recordings_up_to_a_quarter_of_the_travel(light: SearchResult) -> None:
@@ -118,7 +120,7 @@ def test_a_model_follows_recordings_up_to_a_quarter_of_the_travel(light: SearchR
 def test_the_result_is_kept_if_shorter_windows_find_nothing(
     heavy: tuple[ModelSetup, SearchResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given, found = heavy
+    setup, found = heavy
     starts = []
 
     def search_that_finds_nothing(*problem: object) -> SearchResult:
@@ -126,5 +128,5 @@ def test_the_result_is_kept_if_shorter_windows_find_nothing(
         return found
 
     monkeypatch.setattr("pytest_twin.diagnosis.search_recordings.search", search_that_finds_nothing)
-    assert search_shorter_windows(found, given, Run()) is found
+    assert search_shorter_windows(found, setup, Run()) is found
     assert starts == [()], "a search without findings must not start another one"

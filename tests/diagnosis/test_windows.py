@@ -13,12 +13,17 @@ from two_pendulums import ARMATURE, DAMPING, INERTIA, KP, KV, LENGTH, MASS, mjcf
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.effect_selection import EffectSelection
-from pytest_twin.diagnosis.findings import Explained
-from pytest_twin.diagnosis.free_initial_state import free_shifts
+from pytest_twin.diagnosis.findings import Explanation
+from pytest_twin.diagnosis.free_initial_state import count_free_states
 from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search_result import SearchResult, confirm, refit_whole_motions, search
+from pytest_twin.diagnosis.search_result import (
+    SearchResult,
+    confirm_effects,
+    refit_whole_motions,
+    search,
+)
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.windows import WINDOW
@@ -59,7 +64,7 @@ def test_the_lag_of_an_unstable_servo_is_found_in_windows(tmp_path: Path) -> Non
     realization, trials = one_pendulum(tmp_path, lag=LAG)
     found = diagnose(realization, trials, threads=1)
     assert found.verdict == "explained"
-    (finding,) = found.explained.findings
+    (finding,) = found.explanation.findings
     assert (finding.effect, finding.joint) == ("actuator_lag", "left")
     estimate = finding.parameters["time_constant"]
     assert estimate.value == pytest.approx(LAG, rel=0.05)
@@ -71,7 +76,7 @@ def test_the_lag_of_an_unstable_servo_is_found_in_windows(tmp_path: Path) -> Non
 def test_a_motion_that_is_explained_as_a_whole_is_not_cut_into_windows(tmp_path: Path) -> None:
     realization, trials = one_pendulum(tmp_path, seconds=1.2, delay=0.02)
     found = diagnose(realization, trials, threads=1)
-    assert [f.effect for f in found.explained.findings] == ["command_delay"]
+    assert [f.effect for f in found.explanation.findings] == ["command_delay"]
     assert not any("windows" in note for note in found.notes)
 
 
@@ -93,7 +98,7 @@ def test_effects_found_in_windows_are_fitted_to_whole_motions(
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
     other = search(cut, trials, EffectSelection(cut.problem))
     whole = refit_whole_motions(found, other)
-    (finding,) = whole.explained.findings
+    (finding,) = whole.explanation.findings
     assert (finding.effect, finding.confidence) == (
         "actuator_lag",
         other.selected.confidence[ACTUATOR_LAG],
@@ -106,7 +111,9 @@ def test_effects_found_in_windows_are_fitted_to_whole_motions(
     assert not whole.may_improve(other)
     assert not whole.scores_better_than(whole)
     without_findings = replace(
-        whole, explained=Explained((), EMPTY), errors=with_larger_errors(whole.errors, times=30.0)
+        whole,
+        explanation=Explanation((), EMPTY),
+        errors=with_larger_errors(whole.errors, times=30.0),
     )
     assert whole.scores_better_than(without_findings)
     assert not without_findings.scores_better_than(whole)
@@ -126,17 +133,17 @@ def test_effects_found_in_whole_motions_are_compared_with_alternatives_in_window
 ) -> None:
     realization, trials, whole = stable_lag
     cut = prepare(realization, trials.fit, trials.held_out, threads=1, window=WINDOW)
-    found = confirm(cut, trials, whole, Run())
+    found = confirm_effects(cut, trials, whole, Run())
     assert found is not None
     assert found.verdict == "explained"
     assert found.prepared is cut
-    (finding,) = found.explained.findings
+    (finding,) = found.explanation.findings
     assert finding.effect == "actuator_lag"
     assert finding.confidence == found.selected.confidence[ACTUATOR_LAG]
     # A result without findings, or with effects that do not explain the windows, is not confirmed.
     for hypothesis in (EMPTY, EMPTY.with_term(Term("encoder_scale", 0), np.array([0.1]))):
-        other = replace(whole, explained=Explained((), hypothesis))
-        assert confirm(cut, trials, other, Run()) is None
+        other = replace(whole, explanation=Explanation((), hypothesis))
+        assert confirm_effects(cut, trials, other, Run()) is None
 
 
 def with_larger_errors(errors: Mapping[str, JointError], times: float) -> dict[str, JointError]:
@@ -151,11 +158,11 @@ def test_windows_start_at_the_measured_state_with_free_shifts(tmp_path: Path) ->
     assert [s.starts_in_motion for s in whole.simulator.segments] == [False] * 3
     assert all(s.starts_in_motion for s in cut.simulator.segments)
     assert len(cut.simulator.segments) == pytest.approx(3 * SECONDS / WINDOW, abs=3)
-    assert {free_shifts(s) for s in whole.simulator.segments} == {0}
-    assert {free_shifts(s) for s in cut.simulator.segments} == {2}
+    assert {count_free_states(s) for s in whole.simulator.segments} == {0}
+    assert {count_free_states(s) for s in cut.simulator.segments} == {2}
     first = cut.simulator.segments[1]
     trial = trials.fit[0]
     read = np.interp(first.start, trial.time, trial.position[:, 0])
     assert first.initial_position == pytest.approx([read], abs=3e-4)
     velocity_servo = replace(whole.simulator.segments[0], mode="velocity")
-    assert free_shifts(velocity_servo) == 1
+    assert count_free_states(velocity_servo) == 1

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.problem import joint_scales, nominal_replay
+from pytest_twin.diagnosis.problem import joint_scales, replay_nominal
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
@@ -60,8 +60,8 @@ def test_payload_distance_is_measured_along_the_flange_axis_away_from_the_arm(fl
     values = {p.name: np.zeros((1, 3)) for p in payload.parameters}
     values["mass"][:], values["distance"][:] = KG, AWAY
     (said,) = bare.simulate(np.array([0]), {"payload": values})
-    (truth,) = nominal_replay(loaded)
-    (without,) = nominal_replay(bare)
+    (truth,) = replay_nominal(loaded)
+    (without,) = replay_nominal(bare)
     assert np.abs(without.position - truth.position).max() > 1e-2
     assert said.position == pytest.approx(truth.position, abs=1e-8)
 
@@ -70,10 +70,10 @@ def test_payload_length_scale_is_the_arm_for_a_flange_and_the_link_for_a_tool() 
     flange, tool = (simulator(arm(last, turned=TOWARDS_X)) for last in (FLANGE, TOOL))
     payload = catalogue()["payload"]
     for stepped, length, mass in ((flange, 0.15 * 0.7, 0.17), (tool, np.hypot(0.005, 0.15), 0.17)):
-        scales = joint_scales(stepped, nominal_replay(stepped))
+        scales = joint_scales(stepped, replay_nominal(stepped))
         for p, unit in zip(payload.parameters[:2], (mass, length), strict=True):
             assert scales.value(p, -1) == pytest.approx(unit)
     heavy = arm(FLANGE, turned=TOWARDS_X)
     heavy.body_mass[1] = 30.0
-    scales = joint_scales(simulator(heavy), nominal_replay(simulator(heavy)))
+    scales = joint_scales(simulator(heavy), replay_nominal(simulator(heavy)))
     assert scales.value(payload.parameters[0], -1) == pytest.approx(0.02 * 32.17)

@@ -39,7 +39,7 @@ def test_rows_with_different_effects_do_not_depend_on_the_number_of_cores(
     for cores in (1, 2, 3):
         simulator = BatchSimulator(segments, JOINTS, threads=cores)
         found.append(simulator.simulate(rows, values))
-        assert simulator.stepped == count * simulator.steps[0]
+        assert simulator.simulated_steps == count * simulator.steps[0]
     for each in zip(*found, strict=True):
         for name, least in (("position", 1e-8), ("velocity", 1e-6), ("effort", 1e-5)):
             one, *others = (getattr(p, name) for p in each)

@@ -31,9 +31,9 @@ def test_a_row_simulated_before_is_returned_from_the_cache(simulator: BatchSimul
     rows = np.zeros(3, dtype=np.int64)
     first = simulator.simulate(rows, viscous_friction(0.1, 0.2, 0.1))
     once = int(simulator.steps[0])
-    assert (simulator.stepped, simulator.repeated) == (3 * once, once)
+    assert (simulator.simulated_steps, simulator.cached_steps) == (3 * once, once)
     again = simulator.simulate(rows[:2], viscous_friction(0.2, 0.3))
-    assert (simulator.stepped, simulator.repeated) == (5 * once, 2 * once)
+    assert (simulator.simulated_steps, simulator.cached_steps) == (5 * once, 2 * once)
     assert again[0] is first[1]
     assert first[0] is first[2]
     fresh = BatchSimulator(simulator.segments, JOINTS, threads=1).simulate(

@@ -114,9 +114,9 @@ def found_by_the_drive_stage(
     robot = load(folder / "model.xml")
     options = RecordingOptions.from_json({"command_between": "held"})
     trials = read_trials(fit, [held], DEFAULT_TOPICS, robot.structure, options)
-    given = ModelSetup.of(robot, None, 1)
-    used = determine_signals(given, trials).applied(trials)
-    prepared, _ = build_problem(given, used, [])
+    setup = ModelSetup.of(robot, None, 1)
+    used = determine_signals(setup, trials).apply(trials)
+    prepared, _ = build_problem(setup, used, [])
     problem = prepared.problem
     return problem, add_effects(problem, EMPTY, FURTHER["drive"], ["position"])
 

@@ -17,7 +17,10 @@ from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.excitation.approved_limits import MECHANISMS
-from pytest_twin.identification.motions import undetermined_by_command, undetermined_by_effort
+from pytest_twin.identification.motions import (
+    undetermined_by_command,
+    undetermined_by_effort,
+)
 from pytest_twin.identification.simulation.stage_effects import SIMULATED
 from pytest_twin.identification.simulation.undetermined_terms import undetermined_terms
 from pytest_twin.realization import load
@@ -43,9 +46,9 @@ def undetermined(folder: Path, command: Callable[[float], float]) -> set[str]:
     robot = load(folder / "model.xml")
     options = RecordingOptions.from_json({"command_between": "held"})
     trials = read_trials([path], [], DEFAULT_TOPICS, robot.structure, options)
-    given = ModelSetup.of(robot, None, 1)
-    used = determine_signals(given, replace(trials, held_out=())).applied(trials)
-    prepared, _ = build_problem(given, used, [])
+    setup = ModelSetup.of(robot, None, 1)
+    used = determine_signals(setup, replace(trials, held_out=())).apply(trials)
+    prepared, _ = build_problem(setup, used, [])
     terms = undetermined_terms(prepared.problem, EMPTY, ["position"])
     return {term.effect for term in terms}
 

@@ -15,9 +15,9 @@ from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import write_realization
-from pytest_twin.diagnosis.prepare import Prepared, prepare
+from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.ranges.gather import collect_uncertain_parameters
@@ -50,7 +50,7 @@ DRAWN = [
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, Prepared]:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trial, PreparedProblem]:
     folder = tmp_path_factory.mktemp("bench")
     (folder / "model.xml").write_text(mjcf())
     realization = load_model(folder / "model.xml").realization
@@ -103,7 +103,7 @@ def test_a_drawn_robot_moves_like_a_twin_with_the_drawn_value(
     with_record(path, name, values[parameter], law.fitted_unit("hinge"))
     twin = load_twin(path)
     robot = load(twin.first_realization.file, twin=twin)
-    patched = patched_of(robot)
+    patched = read_patched_model(robot)
     found = collect_uncertain_parameters(twin, robot, patched)
     assert [one.name for one in found.distribution.coordinates] == [name], found.left_out
     (one,) = found.distribution.coordinates
@@ -121,7 +121,7 @@ def test_a_drawn_robot_moves_like_a_twin_with_the_drawn_value(
         )
         twin = load_twin(other)
         again = load(twin.first_realization.file, twin=twin)
-        (of_other,) = VariedRobots(again, patched_of(again), (), (), 2**32).simulate(
+        (of_other,) = VariedRobots(again, read_patched_model(again), (), (), 2**32).simulate(
             [trial], np.zeros((1, 0))
         )
         motions.append(of_other.robots[0])
@@ -154,7 +154,7 @@ def test_correlated_delay_and_rate_limit_are_drawn_together(bench: tuple, tmp_pa
     (path.parent / "record.json").write_text(json.dumps(document))
     twin = load_twin(path)
     robot = load(twin.first_realization.file, twin=twin)
-    found = collect_uncertain_parameters(twin, robot, patched_of(robot)).distribution
+    found = collect_uncertain_parameters(twin, robot, read_patched_model(robot)).distribution
     columns = {one.name: k for k, one in enumerate(found.coordinates)}
     draws = found.draws(4000, 0)
     pair = draws[:, columns[name]], draws[:, columns[delay]]
@@ -199,6 +199,6 @@ def test_a_parameter_that_the_recordings_do_not_determine_is_left_out_with_the_r
     record_file.write_text(json.dumps(text))
     twin = load_twin(path)
     robot = load(twin.first_realization.file, twin=twin)
-    found = collect_uncertain_parameters(twin, robot, patched_of(robot))
+    found = collect_uncertain_parameters(twin, robot, read_patched_model(robot))
     assert [one.name for one in found.distribution.coordinates] == [drawn]
     assert found.left_out == (f"{kept}: its recordings do not determine it, it keeps its value",)

@@ -15,7 +15,7 @@ from scipy import stats
 
 from pytest_twin import ranges
 from pytest_twin.budget.effect_parameters import bounds
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.effects import catalogue
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import JointSeries
@@ -107,7 +107,7 @@ def turns(folder: Path) -> np.ndarray:
     """Largest distance of each of 64 drawn robots from its lowest position, in turns."""
     twin = load_twin(make_twin(folder))
     robot = load(twin.first_realization.file, twin=twin)
-    patched = patched_of(robot)
+    patched = read_patched_model(robot)
     found = collect_uncertain_parameters(twin, robot, patched)
     paths = [record_release(folder / "final.mcap")]
     trials = read_check_recordings(twin, robot, paths, [], twin.recordings, twin.topics).final
@@ -128,7 +128,7 @@ def test_no_drawn_joint_turns_faster_and_faster_after_its_drive_switched_off(
 def test_drawn_back_emf_is_a_part_of_the_drawn_damping_in_both_samplers(tmp_path: Path) -> None:
     twin = load_twin(make_twin(tmp_path))
     robot = load(twin.first_realization.file, twin=twin)
-    found = collect_uncertain_parameters(twin, robot, patched_of(robot)).distribution
+    found = collect_uncertain_parameters(twin, robot, read_patched_model(robot)).distribution
     whole, part = found.draws(10_000, 0).T
     assert (part <= whole).all()
     apart = STD * np.sqrt(2.0 * (1.0 - CORRELATION))
@@ -157,7 +157,9 @@ def test_a_part_or_whole_that_does_not_vary_is_the_bound_of_the_other(
 ) -> None:
     twin = load_twin(make_twin(tmp_path, {name: NAMES[name]}))
     robot = load(twin.first_realization.file, twin=twin)
-    (one,) = collect_uncertain_parameters(twin, robot, patched_of(robot)).distribution.coordinates
+    (one,) = collect_uncertain_parameters(
+        twin, robot, read_patched_model(robot)
+    ).distribution.coordinates
     assert getattr(one, side) == pytest.approx(bound)
     drawn = one.values(np.random.default_rng(0).standard_normal(2000))
     assert (drawn >= bound).all() if side == "lower" else (drawn <= bound).all()
@@ -226,7 +228,7 @@ def with_load_friction(folder: Path, names: dict[str, float]) -> Distribution:
     (folder / "record.json").write_text(json.dumps(record))
     twin = load_twin(path)
     robot = load(twin.first_realization.file, twin=twin)
-    return collect_uncertain_parameters(twin, robot, patched_of(robot)).distribution
+    return collect_uncertain_parameters(twin, robot, read_patched_model(robot)).distribution
 
 
 def test_every_drawn_drive_can_start_its_joint(tmp_path: Path) -> None:

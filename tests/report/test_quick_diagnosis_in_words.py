@@ -20,7 +20,11 @@ STICTION = LikelyEffect(
     0.9996,
 )
 DELAY = LikelyEffect(
-    ("command_delay", ("wrist", "hand")), {"delay": (0.02, "s")}, 0.9, 0.95, of=("wrist", "hand")
+    ("command_delay", ("wrist", "hand")),
+    {"delay": (0.02, "s")},
+    0.9,
+    0.95,
+    explained_joints=("wrist", "hand"),
 )
 
 
@@ -40,7 +44,7 @@ def test_one_likely_effect_is_stated_with_size_confidence_and_gain() -> None:
 
 def test_equally_likely_effects_are_all_named() -> None:
     rivals = (("presliding_hysteresis", ("elbow",)), ("sensor_delay", ()))
-    assert said(replace(STICTION, rivals=rivals)) == (
+    assert said(replace(STICTION, alternatives=rivals)) == (
         "could be Stribeck friction at joint elbow (Coulomb friction about 0.33 N*m, Stribeck "
         "velocity about 0.051 rad/s), presliding hysteresis at joint elbow or sensor delay; "
         "correcting the first would remove 99 % of the squared error"
@@ -48,7 +52,7 @@ def test_equally_likely_effects_are_all_named() -> None:
 
 
 def test_different_effects_on_different_joints_are_each_named() -> None:
-    assert said(replace(STICTION, of=("elbow",)), DELAY, unexplained=("lift",)) == (
+    assert said(replace(STICTION, explained_joints=("elbow",)), DELAY, unexplained=("lift",)) == (
         "probably Stribeck friction at joint elbow: Coulomb friction about 0.33 N*m, Stribeck "
         "velocity about 0.051 rad/s; confidence 65 %; correcting it would remove 99 % of the "
         "squared error of elbow; probably command delay at joint wrist and hand: command delay "

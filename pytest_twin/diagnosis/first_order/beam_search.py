@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import check
+from pytest_twin.diagnosis.deadline import check_deadline
 from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
 from pytest_twin.diagnosis.hypothesis import Term
@@ -480,7 +480,7 @@ class BeamSearch:
         Raises:
             OutOfTime: the time of the search is over.
         """
-        check()
+        check_deadline()
         parents = [s for s in level if len(s.chosen) < self.most]
         equations.candidate_sensitivities.compute_products(i for s in parents for i in s.chosen)
         children = Forks(self.cores).map(

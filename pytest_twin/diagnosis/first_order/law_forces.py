@@ -169,7 +169,7 @@ class LawForces:
         out = Forces(*(np.zeros((copies, segments, samples, joints)) for _ in fields(Forces)))
         everything = np.ones((copies, joints), dtype=bool)
         for lanes, found in self._evaluate_groups(
-            effects, _pace(effects, (copies, joints)), everything
+            effects, _required_pace(effects, (copies, joints)), everything
         ):
             at = (lanes.copy[:, None], lanes.segment[:, None], slice(None), lanes.joint)
             for field in fields(Forces):
@@ -195,8 +195,8 @@ class LawForces:
         total, drive = np.zeros((2, copies, segments, samples, joints))
         # Base and variant must be sampled in the same way, also if the variant lacks a law with
         # memory.
-        pace = np.maximum(_pace(effects, shape), _pace(own, (1, joints)))
-        for lanes, found in self._evaluate_groups(effects, pace, _differs(effects, own, shape)):
+        pace = np.maximum(_required_pace(effects, shape), _required_pace(own, (1, joints)))
+        for lanes, found in self._evaluate_groups(effects, pace, _laws_differ(effects, own, shape)):
             here = (lanes.segment[:, None], slice(None), lanes.joint)
             at = (lanes.copy[:, None], *here)
             total[at] = np.moveaxis(found.total, 1, 2) - base.total[0][here]
@@ -478,7 +478,7 @@ def state_force_derivatives(
     return out[0], out[1]
 
 
-def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
+def _required_pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
     """(copies, joints) evaluation that the laws of every joint need: one of the three paces."""
     out = np.full(shape, _AT_ONCE)
     for effect, v in effects:
@@ -488,7 +488,7 @@ def _pace(effects: ActiveEffects, shape: tuple[int, int]) -> NDArray[np.int64]:
     return out
 
 
-def _differs(
+def _laws_differ(
     effects: ActiveEffects, own: ActiveEffects, shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """(copies, joints) whether the laws of a joint differ from those of the hypothesis."""

@@ -53,7 +53,7 @@ def refine_limits(
         best.with_term(h.terms[-1], h.theta[h.slice_of(h.terms[-1])])
         for h in (p.hypothesis for p in fit_linearized(linear, view, starts, _ROUNDS))
     ]
-    return _responses(linear, alone)
+    return _limit_sensitivities(linear, alone)
 
 
 def is_single_amplitude_limit(response: Sensitivity) -> bool:
@@ -61,7 +61,9 @@ def is_single_amplitude_limit(response: Sensitivity) -> bool:
     return response.term.law.is_limit and len(response.amplitude_indices) == 1
 
 
-def _responses(linear: Linearization, hypotheses: Sequence[Hypothesis]) -> list[Sensitivity]:
+def _limit_sensitivities(
+    linear: Linearization, hypotheses: Sequence[Hypothesis]
+) -> list[Sensitivity]:
     out = []
     for h, change in zip(hypotheses, linear.differences(hypotheses) if hypotheses else [],
                          strict=True):  # fmt: skip

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import check
+from pytest_twin.diagnosis.deadline import check_deadline
 from pytest_twin.diagnosis.first_order.beam_search import ResidualView
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.fit import finite_differences, proposals, weighted_cost
+from pytest_twin.diagnosis.fit import finite_differences, propose_steps, weighted_cost
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
@@ -87,7 +87,7 @@ def fit_linearized(
                 slope[..., column] = (next(moved) - here) / s
             slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
             weights.append(weight)
-            tried += proposals(f.hypothesis, f.residual, slope, weight, _DAMPINGS)
+            tried += propose_steps(f.hypothesis, f.residual, slope, weight, _DAMPINGS)
             ends.append(len(tried))
         owner = [f for f, n in zip(active, np.diff(ends), strict=True) for _ in range(n)]
         found = _differences(linear, tried)
@@ -133,7 +133,7 @@ def _differences(linear: Linearization, hypotheses: Sequence[Hypothesis]) -> lis
     Raises:
         OutOfTime: the time of the search is over.
     """
-    check()
+    check_deadline()
     groups: dict[tuple[bool, bool], list[int]] = {}
     for i, h in enumerate(hypotheses):
         effects = [t.law for t in h.terms]

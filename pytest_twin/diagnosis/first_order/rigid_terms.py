@@ -155,16 +155,16 @@ def rigid_derivatives(
 
 def changes_bodies(effect: Effect, values: Values, joints: int) -> bool:
     """Whether an effect changes masses or gravity."""
-    changed, tilted = _fields([(effect, values)], len(next(iter(values.values()))), joints)
+    changed, tilted = _model_fields([(effect, values)], len(next(iter(values.values()))), joints)
     return tilted or changed.has_changed_links
 
 
 def changes_gravity(effect: Effect, values: Values, joints: int) -> bool:
     """Whether an effect changes gravity; efforts are then not linear in inertial parameters."""
-    return _fields([(effect, values)], len(next(iter(values.values()))), joints)[1]
+    return _model_fields([(effect, values)], len(next(iter(values.values()))), joints)[1]
 
 
-def _fields(
+def _model_fields(
     effects: Sequence[tuple[Effect, Values]], copies: int, joints: int
 ) -> tuple[ModelFields, bool]:
     """Model fields under effects, and whether the direction of gravity changes."""
@@ -181,7 +181,7 @@ def _moments(at: FloatArray) -> list[FloatArray]:
     return [np.ones(len(at)), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x]
 
 
-def _shifts(by: FloatArray) -> list[FloatArray]:
+def _moment_changes(by: FloatArray) -> list[FloatArray]:
     """Changes of the first and second moments, (n,) each, for shifts (n, 2) of the centre in m."""
     x, y = by.T
     return [x, y, x * x, y * y, x * y]
@@ -213,7 +213,7 @@ _LINK, _LOAD = InertialParameters(), Payload()
 _FAMILIES = {
     "mass": _Family(_LINK, ("mass_error",), _ONE, _only_column),
     "inertia": _Family(_LINK, ("inertia_error",), _ONE, _only_column),
-    "moved": _Family(_LINK, ("radial", "tangential"), _PROBE_SHIFTS, _shifts),
+    "moved": _Family(_LINK, ("radial", "tangential"), _PROBE_SHIFTS, _moment_changes),
     "load": _Family(_LOAD, ("distance", "sideways", "across"), _PROBE_POSITIONS, _moments),
 }
 
@@ -271,7 +271,7 @@ class InverseDynamics:
             Part -> (copies,) coefficients; None if the efforts are not a linear combination.
         """
         joints = self._nominal.shape[2]
-        fields, tilted = _fields(effects, copies, joints)
+        fields, tilted = _model_fields(effects, copies, joints)
         # If two joints move the same body, their changes of it would be added twice.
         bodies = self._simulator.layout.body_index
         if tilted or len(set(bodies)) < len(bodies):
@@ -281,7 +281,7 @@ class InverseDynamics:
             sizes["mass", j, 0] = fields.mass_scale[:, j] - 1.0
             sizes["inertia", j, 0] = fields.inertia_scale[:, j] - 1.0
             by = np.stack([fields.center_radial[:, j], fields.center_tangential[:, j]], axis=1)
-            for k, amount in enumerate(_shifts(by)):
+            for k, amount in enumerate(_moment_changes(by)):
                 sizes["moved", j, k] = fields.mass_scale[:, j] * amount
         for k, amount in enumerate(_moments(fields.added_at[:, -1])):
             sizes["load", joints - 1, k] = fields.added_mass[:, -1] * amount

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import check
+from pytest_twin.diagnosis.deadline import check_deadline
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.law_forces import Forces, LawForces, state_force_derivatives
 from pytest_twin.diagnosis.first_order.linearized_dynamics import (
@@ -37,8 +37,8 @@ from pytest_twin.diagnosis.first_order.rigid_terms import (
 from pytest_twin.diagnosis.first_order.sensor_readings import ReadingChange, SensorReadings
 from pytest_twin.diagnosis.free_initial_state import (
     FreeInitialState,
+    count_free_states,
     free_initial_state,
-    free_shifts,
 )
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, absent_values, effect_values
 from pytest_twin.diagnosis.problem import Problem
@@ -231,7 +231,7 @@ def linearize(
     """
     if problem.simulator.models.contact.world.size:
         return None
-    linear, is_known = problem.kept(
+    linear, is_known = problem.cached(
         hypothesis, segments, lambda: Linearization(problem, hypothesis, segments)
     )
     if is_known:
@@ -293,14 +293,16 @@ class Linearization:
             segment = self.simulator.segments[s]
             n = len(segment.time)
             if i in self.starts:
-                error = self.starts[i].freed(segment.position - self.trajectory.reading[i])
+                error = self.starts[i].without_initial_error(
+                    segment.position - self.trajectory.reading[i]
+                )
                 out[at : at + n, :joints] = error * self.problem.position_weights.get(int(s), 1.0)
             at += n
         return self.bins.mean(out)
 
     def _free_initial_states(self) -> dict[int, FreeInitialState]:
         """Free initial states of the segments, with their response by the linearized dynamics."""
-        if self.problem.free is None:
+        if self.problem.find_starts is None:
             return {}
         segments, samples, joints = self.trajectory.position.shape
         unit = np.tile(np.eye(2 * joints), (segments, 1, 1))
@@ -309,7 +311,7 @@ class Linearization:
         out = {}
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
-            free = free_shifts(segment)
+            free = count_free_states(segment)
             if free:
                 response = self.readings.at_stamps(i, state[i, :, :joints, :free])
                 response = response.reshape(-1, free)
@@ -327,7 +329,7 @@ class Linearization:
         Raises:
             OutOfTime: the time of the search is over.
         """
-        check()
+        check_deadline()
         by_effect: dict[str, list[Term]] = {}
         for term in sorted(terms, key=lambda t: t.effect):
             by_effect.setdefault(term.effect, []).append(term)

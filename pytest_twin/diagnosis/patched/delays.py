@@ -7,7 +7,7 @@ simulated model has no delay lines; its commands are delayed instead.
 
 from __future__ import annotations
 
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
 from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
@@ -15,7 +15,7 @@ from pytest_twin.realization.mjcf import compile_spec
 
 
 def effects_outside_mjcf(
-    realization: Realization, patched: Patched | None
+    realization: Realization, patched: PatchedModel | None
 ) -> tuple[AppliedEffect, ...]:
     """Effects that the simulator applies: those that are not in the MJCF, and its delay lines."""
     model = realization.model

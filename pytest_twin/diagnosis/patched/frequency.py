@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import patched_of
+from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.errors import TwinError
 from pytest_twin.metrics.joint_frequency import joint_responses
@@ -22,7 +22,7 @@ def frequency_responses(realization: Realization, trials: Sequence[Trial]) -> li
         realization: fitted model, loaded from its folder.
         trials: recordings with measured motion.
     """
-    return best_responses(trials, lambda at: _predicted(realization, trials[at]))
+    return best_responses(trials, lambda at: _predict_positions(realization, trials[at]))
 
 
 def best_responses(
@@ -51,9 +51,9 @@ def best_responses(
     ]
 
 
-def _predicted(realization: Realization, trial: Trial) -> dict[str, FloatArray]:
+def _predict_positions(realization: Realization, trial: Trial) -> dict[str, FloatArray]:
     """Return joint -> (n,) predicted positions, rad or m; empty if the simulation diverges."""
-    patched = patched_of(realization)
+    patched = read_patched_model(realization)
     try:
         if patched is None:
             result = replay(realization, [trial])[0]

@@ -20,7 +20,7 @@ _MAX_EFFECTS = 256
 """Largest number of effects in the file."""
 _MAX_BYTES = 1 << 20
 """Largest size of the file."""
-_CREEPS = "creeps"
+_CREEP_KEY = "creeps"
 _MAX_SUBSTEPS = 100
 """Largest number of simulation steps per time step of the recording's simulation."""
 
@@ -44,7 +44,7 @@ class AppliedEffect:
 
 
 @dataclass(frozen=True, slots=True)
-class Patched:
+class PatchedModel:
     """Content of ``effects.json``.
 
     Attributes:
@@ -68,7 +68,7 @@ class Patched:
         return tuple(e for e in self.effects if not e.is_in_mjcf)
 
 
-def patched_of(realization: Realization) -> Patched | None:
+def read_patched_model(realization: Realization) -> PatchedModel | None:
     """The effects of a realization that a diagnosis wrote, None for any other.
 
     Raises:
@@ -78,14 +78,14 @@ def patched_of(realization: Realization) -> Patched | None:
     return None if path is None else read_effects(path)
 
 
-def effects_json(patched: Patched) -> dict[str, Any]:
+def effects_json(patched: PatchedModel) -> dict[str, Any]:
     """Content of ``effects.json``."""
     laws = catalogue()
     return {
         "schema": 1,
         "joints": list(patched.joints),
         **({"coldness": dict(patched.cold_fractions)} if patched.cold_fractions else {}),
-        **({"dry_friction": _CREEPS} if patched.has_friction_creep else {}),
+        **({"dry_friction": _CREEP_KEY} if patched.has_friction_creep else {}),
         **({"simulated_in_substeps": patched.substeps} if patched.substeps else {}),
         "effects": [
             {
@@ -108,7 +108,7 @@ def _parameters_json(effect: AppliedEffect) -> dict[str, Any]:
     return {"values": dict(effect.values)}
 
 
-def read_effects(path: Path) -> Patched:
+def read_effects(path: Path) -> PatchedModel:
     """Read ``effects.json``.
 
     Raises:
@@ -121,7 +121,7 @@ def read_effects(path: Path) -> Patched:
     except (ValueError, RecursionError) as error:
         raise SpecError(f"not JSON: {error}", path=path) from None
 
-    def need(good: bool, where: str, expected: str, value: object = None) -> None:
+    def require(good: bool, where: str, expected: str, value: object = None) -> None:
         if not good:
             raise SpecError(
                 "wrong field of effects.json",
@@ -131,68 +131,68 @@ def read_effects(path: Path) -> Patched:
                 expected=expected,
             )
 
-    need(isinstance(data, dict) and data.get("schema") == 1, "schema", "1")
+    require(isinstance(data, dict) and data.get("schema") == 1, "schema", "1")
     joints = data.get("joints")
-    need(
+    require(
         isinstance(joints, list) and bool(joints) and all(isinstance(j, str) for j in joints),
         "joints",
         "names of joints",
     )
     cold_fractions = data.get("coldness", {})
-    need(
+    require(
         isinstance(cold_fractions, dict) and len(cold_fractions) <= _MAX_EFFECTS,
         "coldness",
         "a table",
     )
     for temperature, value in cold_fractions.items():
-        need(_is_finite(value), f"coldness.{temperature}", "a finite number", value)
-    need(
+        require(_is_finite(value), f"coldness.{temperature}", "a finite number", value)
+    require(
         not cold_fractions or len(set(cold_fractions.values())) > 1,
         "coldness",
         "temperatures that differ",
     )
     dry = data.get("dry_friction")
-    need(dry in (None, _CREEPS), "dry_friction", _CREEPS, dry)
+    require(dry in (None, _CREEP_KEY), "dry_friction", _CREEP_KEY, dry)
     substeps = data.get("simulated_in_substeps", 0)
     whole = isinstance(substeps, int) and not isinstance(substeps, bool)
-    need(
+    require(
         whole and 0 <= substeps <= _MAX_SUBSTEPS, "simulated_in_substeps",
         f"an integer from 0 to {_MAX_SUBSTEPS}", substeps,
     )  # fmt: skip
     listed = data.get("effects")
-    need(isinstance(listed, list) and len(listed) <= _MAX_EFFECTS, "effects", "a list")
+    require(isinstance(listed, list) and len(listed) <= _MAX_EFFECTS, "effects", "a list")
     found = []
     for i, item in enumerate(listed):
         here = f"effects.{i}"
-        need(isinstance(item, dict), here, "a table")
+        require(isinstance(item, dict), here, "a table")
         name, joint, values = item.get("effect"), item.get("joint"), item.get("values")
         if name in TABLES:
-            need(isinstance(item.get("table"), dict), f"{here}.table", "a table")
+            require(isinstance(item.get("table"), dict), f"{here}.table", "a table")
             try:
                 values = TABLES[name].read_table(item["table"])
             except ValueError as error:
-                need(False, f"{here}.table", str(error))
-        need(
+                require(False, f"{here}.table", str(error))
+        require(
             name in catalogue(), f"{here}.effect", "an installed effect (pytest-twin effects)", name
         )
-        need(joint is None or joint in joints, f"{here}.joint", "one of joints, or null", joint)
+        require(joint is None or joint in joints, f"{here}.joint", "one of joints, or null", joint)
         robot = catalogue()[name].scope == "robot"
-        need(
+        require(
             robot == (joint is None),
             f"{here}.joint",
             "null for an effect of the whole robot, else a joint",
         )
-        need(isinstance(item.get("in_model"), bool), f"{here}.in_model", "true or false")
+        require(isinstance(item.get("in_model"), bool), f"{here}.in_model", "true or false")
         known = {p.name for p in catalogue()[name].parameters}
-        need(isinstance(values, dict) and set(values) <= known, f"{here}.values", str(known))
+        require(isinstance(values, dict) and set(values) <= known, f"{here}.values", str(known))
         for key, value in values.items():
-            need(_is_finite(value), f"{here}.values.{key}", "a finite number", value)
+            require(_is_finite(value), f"{here}.values.{key}", "a finite number", value)
         if not item["in_model"]:
-            need(set(values) == known, f"{here}.values", str(known))
+            require(set(values) == known, f"{here}.values", str(known))
         found.append(
             AppliedEffect(name, joint, {k: float(v) for k, v in values.items()}, item["in_model"])
         )
-    return Patched(
+    return PatchedModel(
         tuple(joints),
         tuple(found),
         {k: float(v) for k, v in cold_fractions.items()},

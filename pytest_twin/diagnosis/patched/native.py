@@ -47,7 +47,7 @@ class NativeWriter:
         self.fixed_masses = twin is None or not twin.payloads
         self.model = compile_spec(spec)[0]
 
-    def take(self, term: Term, values: Mapping[str, float]) -> list[AppliedEffect]:
+    def write(self, term: Term, values: Mapping[str, float]) -> list[AppliedEffect]:
         """Write an effect into the MJCF; a second entry holds what MJCF cannot express."""
         joint = None if term.joint < 0 else self.problem.joints[term.joint]
         outside_mjcf = AppliedEffect(term.effect, joint, dict(values), is_in_mjcf=False)
@@ -74,7 +74,7 @@ class NativeWriter:
             out.append(AppliedEffect(term.effect, joint, {**neutral, **rest}, is_in_mjcf=False))
         return out
 
-    def settle(self) -> None:
+    def write_friction_constraint(self) -> None:
         """Write the friction constraint with which the findings were simulated."""
         by_name = {j.name: j for j in self.spec.joints}
         stepped = self.simulator.models.bounded_model(0)
@@ -92,7 +92,7 @@ class NativeWriter:
     # -- helpers of the laws below
 
     def refuse(self, where: str, problem: str, **details: Any) -> SpecError:
-        """An error to raise; :meth:`take` then leaves the effect out of the MJCF."""
+        """An error to raise; :meth:`write` then leaves the effect out of the MJCF."""
         return SpecError(problem, where=where, **details)
 
     def fit(self, family: str, name: str, values: Mapping[str, Any]) -> None:
@@ -125,7 +125,7 @@ Written = tuple[str, dict[str, float]] | None
 cannot express the effect."""
 
 
-def _viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name, _, dof = w.joint_index(joint)
     total = float(w.model.dof_damping[dof]) + values["coefficient"]
     if total < 0.0:
@@ -134,8 +134,8 @@ def _viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"joint '{name}' damping", {}
 
 
-def _directional_viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
-    written = _viscous(w, joint, values)
+def _write_directional_viscous(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    written = _write_viscous(w, joint, values)
     return None if written is None else (written[0], {"difference": values["difference"]})
 
 
@@ -146,7 +146,7 @@ def _add_damping(w: NativeWriter, name: str, order: int, value: float) -> None:
     joint.damping = poly
 
 
-def _drag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_drag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name, _, dof = w.joint_index(joint)
     if values["coefficient"] + float(w.model.dof_dampingpoly[dof, 0]) < 0.0:
         return None
@@ -154,22 +154,22 @@ def _drag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"joint '{name}' damping, second coefficient", {}
 
 
-def _dry(w: NativeWriter, joint: int, level: float) -> str:
+def _write_dry_friction(w: NativeWriter, joint: int, level: float) -> str:
     name, _, dof = w.joint_index(joint)
     total = max(float(w.model.dof_frictionloss[dof]) + level, 0.0)
     w.fit("joint", name, {"frictionloss": total})
     return f"joint '{name}' frictionloss"
 
 
-def _coulomb(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
-    return _dry(w, joint, values["coulomb"]), {}
+def _write_coulomb(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    return _write_dry_friction(w, joint, values["coulomb"]), {}
 
 
-def _asymmetric(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
-    return _dry(w, joint, values["coulomb"]), {"offset": values["offset"]}
+def _write_asymmetric(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+    return _write_dry_friction(w, joint, values["coulomb"]), {"offset": values["offset"]}
 
 
-def _armature(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_armature(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name, _, dof = w.joint_index(joint)
     total = float(w.model.dof_armature[dof]) + values["inertia"]
     if total < 0.0:
@@ -178,7 +178,7 @@ def _armature(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"joint '{name}' armature", {}
 
 
-def _spring(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_spring(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name, index, _ = w.joint_index(joint)
     address = int(w.simulator.layout.qpos_index[joint])
     total = float(w.model.jnt_stiffness[index]) + values["stiffness"]
@@ -189,7 +189,7 @@ def _spring(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"joint '{name}' stiffness and springref", {}
 
 
-def _gains(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_gains(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains:
         return None
@@ -203,7 +203,7 @@ def _gains(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"actuator '{name}' gains", {}
 
 
-def _torque_constant(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_torque_constant(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains:
         return None
@@ -220,7 +220,7 @@ def _torque_constant(w: NativeWriter, joint: int, values: dict[str, float]) -> W
     return f"actuator '{name}' gains and forcerange", {}
 
 
-def _saturation(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_saturation(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains or values["inverse_limit"] <= 0.0:
         return None
@@ -235,7 +235,7 @@ def _saturation(w: NativeWriter, joint: int, values: dict[str, float]) -> Writte
     return f"actuator '{name}' forcerange", {}
 
 
-def _delay(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_delay(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name = w.actuator_name(joint)
     if name is None:
         return None
@@ -247,7 +247,7 @@ def _delay(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"actuator '{name}' delay", {}
 
 
-def _lag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_lag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name = w.actuator_name(joint)
     if name is None or values["of_setpoint"] == 0.0:
         return None
@@ -259,7 +259,7 @@ def _lag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"actuator '{name}' filtered activation", {}
 
 
-def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     if not w.fixed_masses:
         return None
     layout, body = w.simulator.layout, w.body_name(joint)
@@ -282,7 +282,7 @@ def _inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"body '{body}' mass, inertia and centre", {}
 
 
-def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
     last = len(w.problem.joints) - 1
     body = w.body_name(last)
@@ -298,7 +298,7 @@ def _payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return f"body '{body}' mass, centre and inertia", {}
 
 
-def _tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
     fields = ModelFields.neutral(np.array([w.model.opt.gravity]), 1)
     rigid_body.BaseTilt().fields(fields, {k: np.full((1, 1), v) for k, v in values.items()})
@@ -306,30 +306,30 @@ def _tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     return "option gravity", {}
 
 
-def _contact(effect: str, w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
+def _write_contact(effect: str, w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
     text = write_contact(w.spec, w.simulator.models.contact, effect, values)
     return None if text is None else (text, {})
 
 
 _NATIVE: Mapping[str, Callable[[NativeWriter, int, dict[str, float]], Written]] = {
-    friction.ViscousFriction.id: _viscous,
-    directional.DirectionalViscousFriction.id: _directional_viscous,
-    friction.QuadraticDrag.id: _drag,
-    friction.CoulombFriction.id: _coulomb,
-    friction.AsymmetricFriction.id: _asymmetric,
-    rigid_body.Armature.id: _armature,
-    transmission.JointSpring.id: _spring,
-    actuation.ControllerGain.id: _gains,
-    actuation.TorqueConstant.id: _torque_constant,
-    actuation.TorqueSaturation.id: _saturation,
-    timing.CommandDelay.id: _delay,
-    actuation.ActuatorLag.id: _lag,
-    rigid_body.InertialParameters.id: _inertial,
-    rigid_body.Payload.id: _payload,
-    rigid_body.BaseTilt.id: _tilt,
+    friction.ViscousFriction.id: _write_viscous,
+    directional.DirectionalViscousFriction.id: _write_directional_viscous,
+    friction.QuadraticDrag.id: _write_drag,
+    friction.CoulombFriction.id: _write_coulomb,
+    friction.AsymmetricFriction.id: _write_asymmetric,
+    rigid_body.Armature.id: _write_armature,
+    transmission.JointSpring.id: _write_spring,
+    actuation.ControllerGain.id: _write_gains,
+    actuation.TorqueConstant.id: _write_torque_constant,
+    actuation.TorqueSaturation.id: _write_saturation,
+    timing.CommandDelay.id: _write_delay,
+    actuation.ActuatorLag.id: _write_lag,
+    rigid_body.InertialParameters.id: _write_inertial,
+    rigid_body.Payload.id: _write_payload,
+    rigid_body.BaseTilt.id: _write_tilt,
     **{
-        effect: functools.partial(_contact, effect)
+        effect: functools.partial(_write_contact, effect)
         for effect in (
             contact.ContactOffset.id,
             contact.ContactStiffness.id,

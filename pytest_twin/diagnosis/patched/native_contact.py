@@ -14,7 +14,7 @@ from pytest_twin.effects.base import ModelFields
 from pytest_twin.effects.contact_geoms import ContactGeoms, least_time_constant
 from pytest_twin.realization.mjcf import compile_spec
 
-_MOST_NAMED = 4
+_MAX_NAMED = 4
 """Largest number of names in a note."""
 
 
@@ -53,7 +53,7 @@ def write_contact(
         changed = [int(i) for i in np.flatnonzero((target != now).any(axis=1))]
         for i in changed:
             if attribute == "pos":
-                _move(spec, elements[i], target[i] - now[i])
+                _move_geom(spec, elements[i], target[i] - now[i])
             else:
                 _set(elements[i], attribute, target[i])
         if changed:
@@ -70,7 +70,7 @@ def _set(element: Any, attribute: str, value: FloatArray) -> None:
     setattr(element, attribute, array)
 
 
-def _move(spec: mujoco.MjSpec, geom: Any, shift: FloatArray) -> None:
+def _move_geom(spec: mujoco.MjSpec, geom: Any, shift: FloatArray) -> None:
     """Move a geom by ``shift``, (3,) m in its body's frame."""
     if geom.frame is not None:
         # MJCF frames have many forms of rotation, so the compiler applies the shift.
@@ -78,14 +78,14 @@ def _move(spec: mujoco.MjSpec, geom: Any, shift: FloatArray) -> None:
         place = np.array(geom.pos, dtype=float), np.array(geom.fromto, dtype=float)
         columns = []
         for axis in np.eye(3):
-            _shift(geom, axis)
+            _shift_geom(geom, axis)
             columns.append(compile_spec(spec)[0].geom_pos[geom.id] - start)
             geom.pos, geom.fromto = place
         shift = np.linalg.solve(np.stack(columns, axis=1), shift)
-    _shift(geom, shift)
+    _shift_geom(geom, shift)
 
 
-def _shift(geom: Any, shift: FloatArray) -> None:
+def _shift_geom(geom: Any, shift: FloatArray) -> None:
     ends = np.array(geom.fromto, dtype=float)
     if np.isfinite(ends).all():
         geom.fromto = ends + np.tile(shift, 2)
@@ -95,6 +95,6 @@ def _shift(geom: Any, shift: FloatArray) -> None:
 
 def _names(kind: str, elements: Sequence[Any]) -> str:
     names = [f"'{e.name}'" if e.name else f"number {e.id}" for e in elements]
-    more = len(names) - _MOST_NAMED
-    shown = ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - _MAX_NAMED
+    shown = ", ".join(names[:_MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
     return f"{kind if len(names) == 1 else kind + 's'} {shown}"

@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import Patched
+from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import POSITION, SPEED, TABLES, VELOCITY, Variable
 from pytest_twin.realization import Realization
 
 
-def outside_in_words(
-    realization: Realization, patched: Patched, time: FloatArray, predicted: Predicted
+def describe_range_exits(
+    realization: Realization, patched: PatchedModel, time: FloatArray, predicted: Predicted
 ) -> tuple[str, ...]:
     """Return a line for each table over position or velocity whose data range the motion leaves.
 

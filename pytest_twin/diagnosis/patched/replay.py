@@ -10,9 +10,9 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
-from pytest_twin.diagnosis.patched.model import AppliedEffect, Patched
-from pytest_twin.diagnosis.patched.ranges import outside_in_words
-from pytest_twin.diagnosis.problem import REFINE, corrected, step_error
+from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
+from pytest_twin.diagnosis.patched.ranges import describe_range_exits
+from pytest_twin.diagnosis.problem import REFINE, add_step_error, step_error
 from pytest_twin.diagnosis.temperature import cold_fraction_of_trial
 from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects import catalogue
@@ -56,7 +56,7 @@ def fixed_values(
 
 
 def replay_patched(
-    realization: Realization, patched: Patched, trials: Sequence[Trial], *, threads: int = 0
+    realization: Realization, patched: PatchedModel, trials: Sequence[Trial], *, threads: int = 0
 ) -> list[Predicted]:
     """Open-loop predictions of sensor readings of whole trials, at their stamps.
 
@@ -73,16 +73,16 @@ def replay_patched(
             they depend on.
         SimulationError: a simulation diverged.
     """
-    stepped = without_delays(realization)
+    without_delay_lines = without_delays(realization)
     out = []
     for trial in trials:
-        segment = patched_segment(stepped, patched, trial)
+        segment = patched_segment(without_delay_lines, patched, trial)
         (predicted,) = predict_segments(realization, patched, trial, [segment], threads=threads)
         out.append(predicted)
     return out
 
 
-def patched_segment(realization: Realization, patched: Patched, trial: Trial) -> Segment:
+def patched_segment(realization: Realization, patched: PatchedModel, trial: Trial) -> Segment:
     """The whole trial as a segment to simulate with the effects of a patched realization.
 
     Args:
@@ -111,11 +111,11 @@ def patched_segment(realization: Realization, patched: Patched, trial: Trial) ->
 
 def predict_segments(
     realization: Realization,
-    patched: Patched,
+    patched: PatchedModel,
     trial: Trial,
     segments: Sequence[Segment],
     *,
-    variants: Sequence[Patched] = (),
+    variants: Sequence[PatchedModel] = (),
     threads: int = 0,
 ) -> list[Predicted]:
     """Predicted sensor readings of a trial for variants of its segment, at its stamps.
@@ -148,7 +148,11 @@ def predict_segments(
 
 
 def replay_whole(
-    realization: Realization, patched: Patched, trial: Trial, *, progress: Progress | None = None
+    realization: Realization,
+    patched: PatchedModel,
+    trial: Trial,
+    *,
+    progress: Progress | None = None,
 ) -> Replayed:
     """The replay of one trial with all effects, in the form of a plain replay.
 
@@ -172,7 +176,7 @@ def replay_whole(
         notes=(
             *plain.notes,
             *describe_effects_outside_mjcf(patched),
-            *outside_in_words(realization, patched, trial.time, predicted),
+            *describe_range_exits(realization, patched, trial.time, predicted),
         ),
     )
 
@@ -183,7 +187,7 @@ def _with_columns(table: FloatArray, columns: list[int], values: FloatArray) -> 
     return changed
 
 
-def describe_effects_outside_mjcf(patched: Patched) -> tuple[str, ...]:
+def describe_effects_outside_mjcf(patched: PatchedModel) -> tuple[str, ...]:
     """Return a line that names the effects that MJCF cannot express; empty without any."""
     named = (e.effect + ("" if e.joint is None else f" of {e.joint}") for e in patched.outside_mjcf)
     text = ", ".join(named)
@@ -191,7 +195,10 @@ def describe_effects_outside_mjcf(patched: Patched) -> tuple[str, ...]:
 
 
 def _predict(
-    realization: Realization, variants: Sequence[Patched], segments: Sequence[Segment], threads: int
+    realization: Realization,
+    variants: Sequence[PatchedModel],
+    segments: Sequence[Segment],
+    threads: int,
 ) -> list[Predicted]:
     """Return the prediction of each segment as in the diagnosis.
 
@@ -205,15 +212,17 @@ def _predict(
         for effect, own in each[0].items()
     }
 
-    def stepped(refine: int) -> list[Predicted]:
+    def simulate(refine: int) -> list[Predicted]:
         simulator = BatchSimulator(segments, patched.joints, threads=threads, refine=refine)
         return simulator.simulate(np.arange(count), values)
 
     if patched.substeps:
-        return stepped(patched.substeps)
+        return simulate(patched.substeps)
     return [
-        corrected(coarse, step_error(coarse, fine)) if np.isfinite(fine.position).all() else coarse
-        for coarse, fine in zip(stepped(1), stepped(REFINE), strict=True)
+        add_step_error(coarse, step_error(coarse, fine))
+        if np.isfinite(fine.position).all()
+        else coarse
+        for coarse, fine in zip(simulate(1), simulate(REFINE), strict=True)
     ]
 
 

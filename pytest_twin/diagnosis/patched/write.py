@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis
-from pytest_twin.diagnosis.patched.model import MODEL_FILE, Patched, effects_json
+from pytest_twin.diagnosis.patched.model import MODEL_FILE, PatchedModel, effects_json
 from pytest_twin.diagnosis.patched.native import NativeWriter
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.temperature import ColdFractions
@@ -31,7 +31,7 @@ class RecordingSettings:
 
     Attributes:
         cold_fractions: temperature -> cold fraction of the trials.
-        substeps: substeps per step of the model, as in :class:`Patched`.
+        substeps: substeps per step of the model, as in :class:`PatchedModel`.
         between: interpolation of commands between stamps if a recording does not state it; None if
             unknown.
     """
@@ -41,7 +41,7 @@ class RecordingSettings:
     between: CommandBetween | None = None
 
 
-_AS_MODELLED = RecordingSettings()
+_DEFAULT_SETTINGS = RecordingSettings()
 
 
 def write_realization(
@@ -49,9 +49,9 @@ def write_realization(
     realization: Realization,
     problem: Problem,
     hypothesis: Hypothesis,
-    inherited: Patched | None = None,
-    recorded: RecordingSettings = _AS_MODELLED,
-) -> Patched:
+    inherited: PatchedModel | None = None,
+    recorded: RecordingSettings = _DEFAULT_SETTINGS,
+) -> PatchedModel:
     """Write ``model.xml``, ``effects.json`` and, if it is needed, ``twin.yaml``.
 
     Args:
@@ -74,16 +74,16 @@ def write_realization(
             p.name: float(t * problem.scales.value(p, term.joint))
             for p, t in zip(term.parameters, theta, strict=True)
         }
-        effects += writer.take(term, values)
+        effects += writer.write(term, values)
     asked = any(catalogue()[e.effect].needs_temperature for e in effects)
-    patched = Patched(
+    patched = PatchedModel(
         problem.joints,
         tuple(effects),
         recorded.cold_fractions if asked else {},
         problem.simulator.segments[0].has_friction_creep,
         recorded.substeps,
     )
-    writer.settle()
+    writer.write_friction_constraint()
     text = writer.text()
     if realization.source.kind == "mjcf":
         for name, path in realization.source.assets.items():
@@ -125,7 +125,7 @@ def twin_text(twin: Twin, between: CommandBetween | None) -> str:
     data |= options
     if twin.controllers:
         data["controllers"] = {
-            name: {a: {k: _plain(v) for k, v in p.items()} for a, p in actuators.items()}
+            name: {a: {k: _to_plain(v) for k, v in p.items()} for a, p in actuators.items()}
             for name, actuators in twin.controllers.items()
         }
     if twin.payloads:
@@ -146,5 +146,5 @@ def twin_text(twin: Twin, between: CommandBetween | None) -> str:
     return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
 
 
-def _plain(value: float | tuple[float, ...]) -> float | list[float]:
+def _to_plain(value: float | tuple[float, ...]) -> float | list[float]:
     return list(value) if isinstance(value, tuple) else value

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.fit import FittedModel
 from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 
@@ -30,7 +30,7 @@ _FIRST_CHANGE, _STEP, _LAST_STEP = 0.5, 0.15, 1e-3
 _DIVERGED = 1e6
 
 
-def initial_covariance_root(fitted: Fitted, floor: FloatArray) -> FloatArray:
+def initial_covariance_root(fitted: FittedModel, floor: FloatArray) -> FloatArray:
     """Root ``A`` of the covariance ``A A'`` of the first steps, (parameters, parameters).
 
     Only the parameters that a fit estimates have rows and columns.
@@ -65,22 +65,22 @@ def fit_by_evolution(
         weights: (signals,) reciprocal standard deviations.
         steps: (parameters, parameters) result of :func:`initial_covariance_root`.
     """
-    if not starts[0].free:
+    if not starts[0].free_count:
         return starts[0]
     count = _SEARCHES // len(starts)
     searches = [_Search(problem, s, weights, steps, k) for s in starts for k in range(count)]
     for each in searches:
         each.evolve(_EVALUATIONS // 2)
-    deepest = min(searches, key=lambda each: each.least)
-    deepest.evolve(_EVALUATIONS - _EVALUATIONS // 2)
-    return deepest.best
+    best = min(searches, key=lambda each: each.best_cost)
+    best.evolve(_EVALUATIONS - _EVALUATIONS // 2)
+    return best.best
 
 
 class _Search:
     """One run of the evolution strategy.
 
     Attributes:
-        best, least: the hypothesis with the smallest cost so far, and that cost.
+        best, best_cost: the hypothesis with the smallest cost so far, and that cost.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class _Search:
                 "verbose": -9,
             },
         )
-        self.best, self.least = start, mean_absolute_deviations(problem, [start], weights)[0]
+        self.best, self.best_cost = start, mean_absolute_deviations(problem, [start], weights)[0]
 
     def evolve(self, evaluations: int) -> None:
         """Make ``evaluations`` more for each parameter, fewer if the strategy has converged."""
@@ -116,14 +116,14 @@ class _Search:
         last = strategy.countevals + evaluations * len(self._steps)
         while strategy.countevals < last and not strategy.stop():
             points = strategy.ask()
-            found = [self._at(p) for p in points]
+            found = [self._hypothesis_at(p) for p in points]
             costs = mean_absolute_deviations(self._problem, found, self._weights)
             strategy.tell(points, costs)
             first = int(np.argmin(costs))
-            if costs[first] < self.least:
-                self.best, self.least = found[first], costs[first]
+            if costs[first] < self.best_cost:
+                self.best, self.best_cost = found[first], costs[first]
 
-    def _at(self, point: FloatArray) -> Hypothesis:
+    def _hypothesis_at(self, point: FloatArray) -> Hypothesis:
         """The start plus (parameters,) multiples of the first steps, within the bounds."""
         theta = self._start.theta.copy()
         theta[self._start.is_estimated] += self._steps @ point

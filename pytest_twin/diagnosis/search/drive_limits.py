@@ -13,9 +13,9 @@ import numpy as np
 
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
+from pytest_twin.diagnosis.search.cost_screen import CostScreen
 from pytest_twin.diagnosis.search.proposed_starts import starts_at
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
-from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 # A size is refined in two rounds, each over a geometric grid of ``_SIZES`` within these factors.
@@ -25,13 +25,13 @@ _SIZES, _REFINEMENTS = 9, (1.25, 1.05)
 def doubtful_limits(best: ScoredModel) -> list[Term]:
     """Limits in the fit at joints whose residual is above the noise floor."""
     problem = best.problem
-    out = (best.left > VERDICT.identifiable**2 * problem.signal_floor**2).reshape(
+    out = (best.max_mean_square > VERDICT.identifiable**2 * problem.signal_floor**2).reshape(
         -1, len(problem.joints)
     )
     return [t for t in best.hypothesis.terms if _is_limit(t) and out[:, t.joint].any()]
 
 
-def limits_instead(best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis]:
+def replace_limits(best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis]:
     """For each limit in ``places``: the fit with the best other limit of the same drive instead.
 
     The other limit has the size with the smallest error; the remaining parameters are not fitted.
@@ -40,7 +40,7 @@ def limits_instead(best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis
         best: the present fit.
         places: limits in the present fit.
     """
-    own, trial_simulation = best.hypothesis, TrialSimulation(best, best.left)
+    own, cost_screen = best.hypothesis, CostScreen(best, best.max_mean_square)
     found = []
     for removed in places:
         others = [
@@ -53,7 +53,7 @@ def limits_instead(best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis
             for start in starts_at(best.problem, own, t)
         ]
         refined = (
-            refine_limit_sizes(trial_simulation, trial_simulation.cheapest(rows)) if rows else []
+            refine_limit_sizes(cost_screen, cost_screen.best_of_each_term(rows)) if rows else []
         )
         found += refined[:1]
     return found
@@ -65,29 +65,31 @@ def _is_limit(term: Term) -> bool:
 
 
 def refine_limit_sizes(
-    trial_simulation: TrialSimulation, hypotheses: Sequence[Hypothesis]
+    cost_screen: CostScreen, hypotheses: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
     """Hypotheses with the size of their last term refined on a grid, best first."""
     refined = list(hypotheses)
-    for reach in _REFINEMENTS:
-        refined = trial_simulation.cheapest([h for f in refined for h in _neighbours(f, reach)])
+    for max_factor in _REFINEMENTS:
+        refined = cost_screen.best_of_each_term(
+            [h for f in refined for h in _vary_size(f, max_factor)]
+        )
     return refined
 
 
-def _neighbours(hypothesis: Hypothesis, reach: float) -> list[Hypothesis]:
-    """The hypothesis with the size of its last term times factors up to ``reach``.
+def _vary_size(hypothesis: Hypothesis, max_factor: float) -> list[Hypothesis]:
+    """The hypothesis with the size of its last term times factors up to ``max_factor``.
 
     The hypothesis alone if its last term has several estimated parameters.
     """
     term = hypothesis.terms[-1]
     mine = hypothesis.slice_of(term)
-    lone = term.lone(hypothesis.theta[mine])
-    if lone is None:
+    index = term.only_estimated_parameter(hypothesis.theta[mine])
+    if index is None:
         return [hypothesis]
-    p = term.parameters[lone]
-    at = mine.start + lone
+    p = term.parameters[index]
+    at = mine.start + index
     out = []
-    for factor in np.geomspace(1.0 / reach, reach, _SIZES):
+    for factor in np.geomspace(1.0 / max_factor, max_factor, _SIZES):
         theta = hypothesis.theta.copy()
         theta[at] = np.clip(theta[at] * factor, p.lower, p.upper)
         out.append(hypothesis.with_theta(theta))

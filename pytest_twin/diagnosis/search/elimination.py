@@ -11,7 +11,11 @@ from pytest_twin.diagnosis.first_order.sensitivities import Linearization, linea
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.linearized_evidence import fit_and_score_linearized
 from pytest_twin.diagnosis.search.linearized_view import residual_view
-from pytest_twin.diagnosis.search.model_comparison import FAIR, QUICK, ModelComparison
+from pytest_twin.diagnosis.search.model_comparison import (
+    DECIDING_ITERATIONS,
+    RANKING_ITERATIONS,
+    ModelComparison,
+)
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import EXCHANGE, SELECTION
 from pytest_twin.diagnosis.search.simplification import (
@@ -25,65 +29,66 @@ from pytest_twin.diagnosis.search.simplification import (
 
 
 @dataclass(frozen=True, slots=True)
-class Eliminated:
+class EliminationResult:
     """Result of a backward elimination.
 
     Attributes:
         best: the remaining model.
-        losses: terms of a simplification that was simulated -> its evidence relative to ``best``.
+        simplification_evidence: terms of a simplification that was simulated -> its evidence
+            relative to ``best``.
     """
 
     best: ScoredModel
-    losses: Mapping[tuple[Term, ...], float]
+    simplification_evidence: Mapping[tuple[Term, ...], float]
 
 
-def eliminate(comparison: ModelComparison, best: ScoredModel) -> Eliminated:
+def eliminate(comparison: ModelComparison, best: ScoredModel) -> EliminationResult:
     """The best fit after backward elimination.
 
     Effects that do not pay their penalty are removed. Laws are merged, or replaced by special cases
     and simpler forms that explain as much. A simplification that clearly loses in the linearized
     motion is not simulated, except that of an elastic transmission.
     """
-    losses = dict[tuple[Term, ...], float]()
+    simplification_evidence = dict[tuple[Term, ...], float]()
     while best.hypothesis.terms:
-        losses, problem = {}, best.problem
+        simplification_evidence, problem = {}, best.problem
         terms = best.hypothesis.terms
-        fewer = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
+        simplifications = [best.hypothesis.without(t) for t in terms] if len(terms) > 1 else []
         linear = linearize(problem, problem.fit, best.hypothesis)
-        fewer += merge_terms(problem, best.hypothesis)
-        fewer += simpler_forms(problem, best.hypothesis)
+        simplifications += merge_terms(problem, best.hypothesis)
+        simplifications += simpler_forms(problem, best.hypothesis)
         if linear is not None:
-            fewer += equal_sized_forms(best.hypothesis)
-        tolerance = tolerances(comparison, best, linear)
-        doubtful = undecided(comparison, best, linear, fewer, tolerance)
+            simplifications += equal_sized_forms(best.hypothesis)
+        tolerance = evidence_tolerance(comparison, best, linear)
+        doubtful = plausible_simplifications(comparison, best, linear, simplifications, tolerance)
         doubtful += special_cases(problem, best.hypothesis)
         doubtful += split_terms(problem, best.hypothesis)
         # A shift in time changes the discretization error, so each has its own.
-        rivals = [
+        models = [
             comparison.fit_with_own_correction(h, best)
             for h in merge_joints(problem, best.hypothesis)
         ]
-        if not doubtful and not rivals:
+        if not doubtful and not models:
             break
         # In contact each simplification is fitted by simulation, so the fits are shorter.
-        iterations = QUICK if linear is None else FAIR
-        comparison.judge(rivals, best)
-        rivals += comparison.score_against(doubtful, best, iterations)
-        losses = {r.hypothesis.terms: r.evidence for r in rivals}
-        top = max(rivals, key=lambda r: r.evidence + tolerance(r.hypothesis))
+        iterations = RANKING_ITERATIONS if linear is None else DECIDING_ITERATIONS
+        comparison.score_models(models, best)
+        models += comparison.score_against(doubtful, best, iterations)
+        simplification_evidence = {r.hypothesis.terms: r.evidence for r in models}
+        top = max(models, key=lambda r: r.evidence + tolerance(r.hypothesis))
         if top.evidence + tolerance(top.hypothesis) < -SELECTION.earns / 2:
             why = f"without what it leaves out the score falls by {-top.evidence:.1f}"
-            comparison.step("elimination", "rejected", why, top, best)
+            comparison.record_step("elimination", "rejected", why, top, best)
             break
-        comparison.step(
+        comparison.record_step(
             "elimination", "accepted",
             f"fewer effects or parameters cost only {max(-top.evidence, 0.0):.1f}", top, best,
         )  # fmt: skip
         best = comparison.fit_to_convergence(top)
-    return Eliminated(best, losses)
+    return EliminationResult(best, simplification_evidence)
 
 
-def tolerances(
+def evidence_tolerance(
     comparison: ModelComparison, best: ScoredModel, linear: Linearization | None
 ) -> Callable[[Hypothesis], float]:
     """How far the evidence of a simplification may be below that of ``best``.
@@ -104,11 +109,11 @@ def tolerances(
         lost_of = dict(zip(several, lost.tolist(), strict=True))
 
     def tolerance(other: Hypothesis) -> float:
-        if other.terms == own.terms and other.free == own.free:
+        if other.terms == own.terms and other.free_count == own.free_count:
             return -SELECTION.other_form
         if len(other.terms) > len(own.terms):
             return comparison.penalty_per_effect + SELECTION.even
-        if len(other.terms) < len(own.terms) or other.free >= own.free:
+        if len(other.terms) < len(own.terms) or other.free_count >= own.free_count:
             return 0.0
         changed = [lost for t, lost in lost_of.items() if not _has_same_form(t, own, other)]
         return EXCHANGE.general_ahead * max(changed, default=0.0)
@@ -116,7 +121,7 @@ def tolerances(
     return tolerance
 
 
-def undecided(
+def plausible_simplifications(
     comparison: ModelComparison,
     best: ScoredModel,
     linear: Linearization | None,
@@ -127,15 +132,15 @@ def undecided(
 
     Those that remove an elastic transmission are always among them.
     """
-    gears = {t for t in best.hypothesis.terms if t.law.is_elastic_transmission}
-    linearized = [h for h in others if gears <= set(h.terms)]
+    elastic_terms = {t for t in best.hypothesis.terms if t.law.is_elastic_transmission}
+    linearized = [h for h in others if elastic_terms <= set(h.terms)]
     if linear is None or not linearized:
         return list(others)
     view = residual_view(best, linear.residual(best.fitted.residual))
     fitted, evidence = fit_and_score_linearized(
         linear, view, best, linearized, comparison.penalty_per_effect
     )
-    return [h for h in others if not gears <= set(h.terms)] + [
+    return [h for h in others if not elastic_terms <= set(h.terms)] + [
         h for h, e in zip(fitted, evidence, strict=True) if e + tolerance(h) > -SELECTION.clear
     ]
 

@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 # Fits until convergence, one after another: the weights of the first ones are from large residuals.
 _ROUNDS = 3
 # Largest confidence of an effect that was not compared with alternatives.
-_UNWEIGHED = 0.5
+_UNCOMPARED_CONFIDENCE = 0.5
 
 
 def with_all_drive_terms(problem: Problem, known: Hypothesis, joint: int) -> Hypothesis:
@@ -41,14 +41,14 @@ def with_all_drive_terms(problem: Problem, known: Hypothesis, joint: int) -> Hyp
 
 def fit_all_terms(comparison: ModelComparison, start: Hypothesis) -> ScoredModel:
     """A hypothesis with all parameters fitted by simulation."""
-    rival = comparison.score_without_fit(start)
+    model = comparison.score_without_fit(start)
     for _ in range(_ROUNDS):
-        rival = comparison.fit_to_convergence(rival)
-    return rival
+        model = comparison.fit_to_convergence(model)
+    return model
 
 
 def weigh_by_removal(
-    comparison: ModelComparison, best: ScoredModel, absent: Mapping[Term, float]
+    comparison: ModelComparison, best: ScoredModel, removal_evidence: Mapping[Term, float]
 ) -> SelectedModel:
     """A fitted model with confidences from the removal of each effect, at most 50 %.
 
@@ -59,8 +59,8 @@ def weigh_by_removal(
         best: the fit.
         absent_value: term -> evidence of the fit without it, relative to ``best``.
     """
-    selected = SelectedModel(best, comparison.nominal, tried=comparison.tried)
-    selected.weigh({((t,), None): evidence for t, evidence in absent.items()})
+    selected = SelectedModel(best, comparison.nominal, candidate_count=comparison.candidate_count)
+    selected.weigh({((t,), None): evidence for t, evidence in removal_evidence.items()})
     for term, share in selected.confidence.items():
-        selected.confidence[term] = min(share, _UNWEIGHED)
+        selected.confidence[term] = min(share, _UNCOMPARED_CONFIDENCE)
     return selected

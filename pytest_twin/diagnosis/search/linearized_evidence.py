@@ -25,7 +25,7 @@ def linearized_evidence(
     effective = view.effective_of_best([p.residual for p in linear_fits])
     return np.array(
         [
-            view.penalized_likelihood(p.residual, effective, p.hypothesis.free)
+            view.penalized_likelihood(p.residual, effective, p.hypothesis.free_count)
             - penalty_per_effect * len(p.hypothesis.terms)
             for p in linear_fits
         ]

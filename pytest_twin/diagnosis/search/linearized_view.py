@@ -23,7 +23,7 @@ from pytest_twin.diagnosis.first_order.sensitivities import (
 )
 from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.recorded_range import RecordedRange, hidden_at
+from pytest_twin.diagnosis.recorded_range import RecordedRange, why_unidentifiable
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
 
@@ -53,9 +53,9 @@ def linearize_around(best: ScoredModel) -> LinearizedView:
         linear, problem, terms, problem.fit, best.hypothesis, best.fitted.residual
     )
     view = residual_view(best, left)
-    found = _identifiable(problem, found)
+    found = _keep_identifiable(problem, found)
     if linear is not None and found:
-        found += _identifiable(
+        found += _keep_identifiable(
             problem,
             [
                 *refine_limits(linear, view, CandidateSensitivities(found), best.hypothesis),
@@ -80,7 +80,7 @@ def simulate_around(best: ScoredModel, closest: int) -> LinearizedView:
     found = simulated_sensitivities(
         problem, _other_candidates(best), problem.fit, best.hypothesis, left, closest
     )
-    sensitivities = CandidateSensitivities(_identifiable(problem, found))
+    sensitivities = CandidateSensitivities(_keep_identifiable(problem, found))
     return LinearizedView(best, None, residual_view(best, left), sensitivities)
 
 
@@ -90,10 +90,10 @@ def _other_candidates(best: ScoredModel) -> list[Term]:
     return [t for t in candidates(best.problem) if t not in named]
 
 
-def _identifiable(problem: Problem, found: Sequence[Sensitivity]) -> list[Sensitivity]:
+def _keep_identifiable(problem: Problem, found: Sequence[Sensitivity]) -> list[Sensitivity]:
     """Sensitivities whose shape parameters lie in the range that the recordings cover."""
     recorded = RecordedRange.of(problem)
-    return [r for r in found if not hidden_at(problem, recorded, r.term, r.start)]
+    return [r for r in found if not why_unidentifiable(problem, recorded, r.term, r.start)]
 
 
 def residual_view(best: ScoredModel, left: FloatArray) -> ResidualView:

@@ -24,14 +24,14 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.run import Run, Scored
+from pytest_twin.diagnosis.run import Run, ScoredHypothesis
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.settings import COMPARISON
 from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict import own_mismatch, reduces_error_enough
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
-QUICK, FAIR, LONG = 2, 4, 8
+RANKING_ITERATIONS, DECIDING_ITERATIONS, FULL_ITERATIONS = 2, 4, 8
 """Iterations of a fit that ranks models, of one that decides between them, and of a full fit."""
 
 
@@ -41,8 +41,9 @@ class ModelComparison:
     Attributes:
         problem: the problem.
         has_validation: whether there are validation recordings, which no fit uses.
-        tried: number of candidates, each an effect at a joint.
-        penalty_per_effect: penalty of the log-likelihood for each effect, chosen from ``tried``.
+        candidate_count: number of candidates, each an effect at a joint.
+        penalty_per_effect: penalty of the log-likelihood for each effect, chosen from
+            ``candidate_count``.
         nominal: the nominal model.
         since: number of steps that were simulated before this search.
         run: the running diagnosis.
@@ -51,10 +52,10 @@ class ModelComparison:
     def __init__(self, problem: Problem, run: Run | None = None) -> None:
         self.problem = problem
         self.run = Run() if run is None else run
-        self.since = problem.stepped
+        self.since = problem.simulated_steps
         self.has_validation = bool(len(problem.held_out))
-        self.tried = len(candidates(problem))
-        self.penalty_per_effect = effect_penalty(self.tried)
+        self.candidate_count = len(candidates(problem))
+        self.penalty_per_effect = effect_penalty(self.candidate_count)
         with self.run.budget.reserved():
             self.nominal = self.score_without_fit(EMPTY)
         self._scored = self.nominal, 0.0
@@ -63,14 +64,14 @@ class ModelComparison:
     def sample_ratio(self) -> float:
         """Number of samples of all recordings divided by that of the fit recordings."""
         problem = self.problem
-        everything, fitted = (sum(problem.lengths(x)) for x in (problem.everywhere, problem.fit))
+        everything, fitted = (sum(problem.lengths(x)) for x in (problem.all_segments, problem.fit))
         return everything / fitted
 
-    def weights(self, rival: ScoredModel) -> FloatArray:
+    def weights(self, model: ScoredModel) -> FloatArray:
         """(signals,) reciprocal standard deviations, from the residual of a model."""
-        return self.problem.weights(rival.fitted.mean_square)
+        return self.problem.weights(model.fitted.mean_square)
 
-    def rivals(
+    def fit_models(
         self,
         starts: Sequence[Hypothesis],
         best: ScoredModel,
@@ -90,9 +91,9 @@ class ModelComparison:
             slopes: whether the Jacobian at the result is computed.
         """
         weights = self.weights(best) if weights is None else weights
-        return self._fitted(best.problem, starts, weights, iterations, slopes=slopes)
+        return self._fit(best.problem, starts, weights, iterations, slopes=slopes)
 
-    def _fitted(
+    def _fit(
         self,
         problem: Problem,
         starts: Sequence[Hypothesis],
@@ -112,34 +113,34 @@ class ModelComparison:
         """A fitted hypothesis, simulated with the discretization error at its own parameters."""
         problem = self.problem.at(hypothesis)
         weights = np.ones(len(problem.signal_floor))
-        return self._fitted(problem, [hypothesis], weights, 0, slopes=slopes)[0]
+        return self._fit(problem, [hypothesis], weights, 0, slopes=slopes)[0]
 
-    def judge(
+    def score_models(
         self,
-        rivals: Sequence[ScoredModel],
+        models: Sequence[ScoredModel],
         reference: ScoredModel,
-        under: ScoredModel | None = None,
+        noise_model: ScoredModel | None = None,
         likelihood: Likelihood = log_likelihood,
     ) -> None:
-        """Set the evidence of ``rivals`` relative to ``reference``.
+        """Set the evidence of ``fit_models`` relative to ``reference``.
 
         Args:
-            rivals: fitted models; their ``evidence`` and ``held_gain`` are set.
+            fit_models: fitted models; their ``evidence`` and ``held_gain`` are set.
             reference: the model with evidence 0.
-            under: the model whose residual gives the effective sample size; ``reference`` by
+            noise_model: the model whose residual gives the effective sample size; ``reference`` by
                 default.
             likelihood: log-likelihood of a residual.
         """
         problem, floor = self.problem, self.problem.signal_floor
-        under = reference if under is None else under
-        fit_n = effective_samples(under.fitted.residual, problem.lengths(problem.fit))
+        noise_model = reference if noise_model is None else noise_model
+        fit_n = effective_samples(noise_model.fitted.residual, problem.lengths(problem.fit))
         base = likelihood(reference.fitted.residual, floor, fit_n)
         cost = parameter_penalty(fit_n)
         if self.has_validation:
-            held_n = effective_samples(under.held_residual, problem.lengths(problem.held_out))
+            held_n = effective_samples(noise_model.held_residual, problem.lengths(problem.held_out))
             held_base = likelihood(reference.held_residual, floor, held_n)
-        for r in rivals:
-            more = r.hypothesis.free - reference.hypothesis.free
+        for r in models:
+            more = r.hypothesis.free_count - reference.hypothesis.free_count
             names = len(r.hypothesis.terms) - len(reference.hypothesis.terms)
             r.evidence = likelihood(r.fitted.residual, floor, fit_n) - base
             r.evidence -= cost * more + self.penalty_per_effect * names
@@ -154,28 +155,32 @@ class ModelComparison:
 
         A fit ends after the ``first`` iterations if the model is then far behind.
         """
-        rivals = self.rivals(starts, best, first)
-        self.judge(rivals, best)
-        near = [i for i, r in enumerate(rivals) if r.evidence > -COMPARISON.hopeless]
-        again = self.rivals([rivals[i].hypothesis for i in near], best, iterations - first)
-        self.judge(again, best)
-        for i, r in zip(near, again, strict=True):
-            rivals[i] = r
-        return rivals
+        models = self.fit_models(starts, best, first)
+        self.score_models(models, best)
+        to_continue = [i for i, r in enumerate(models) if r.evidence > -COMPARISON.hopeless]
+        again = self.fit_models(
+            [models[i].hypothesis for i in to_continue], best, iterations - first
+        )
+        self.score_models(again, best)
+        for i, r in zip(to_continue, again, strict=True):
+            models[i] = r
+        return models
 
-    def validation_mean_square(self, rival: ScoredModel) -> FloatArray:
+    def validation_mean_square(self, model: ScoredModel) -> FloatArray:
         """(signals,) mean squared error on validation recordings; without any, on the others."""
         if not self.has_validation:
-            return rival.fitted.mean_square
-        mean_square: FloatArray = np.mean(rival.held_residual**2, axis=0)
+            return model.fitted.mean_square
+        mean_square: FloatArray = np.mean(model.held_residual**2, axis=0)
         return mean_square
 
-    def has_residual_to_explain(self, rival: ScoredModel) -> bool:
+    def has_residual_to_explain(self, model: ScoredModel) -> bool:
         """Whether an effect that removes the whole residual would reduce the error enough."""
         floor = self.problem.signal_floor**2
-        left = rival.left
+        left = model.max_mean_square
         least = np.where(left > VERDICT.identifiable**2 * floor, floor, left)
-        return self.reduces_error_enough(left, least, self.mismatch(rival, self.nominal.left, left))
+        return self.reduces_error_enough(
+            left, least, self.mismatch(model, self.nominal.max_mean_square, left)
+        )
 
     def reduces_error_enough(
         self, before: FloatArray, after: FloatArray, whole: FloatArray
@@ -189,40 +194,42 @@ class ModelComparison:
         floor = self.problem.signal_floor
         return reduces_error_enough(floor, before, after, whole, VERDICT.identifiable)
 
-    def mismatch(self, rival: ScoredModel, whole: FloatArray, left: FloatArray) -> FloatArray:
+    def mismatch(self, model: ScoredModel, whole: FloatArray, left: FloatArray) -> FloatArray:
         """(signals,) mean squared error of the nominal model that other effects have to explain.
 
-        The part that the laws of ``rival`` may leave because they are inexact is not counted.
+        The part that the laws of ``model`` may leave because they are inexact is not counted.
 
         Args:
-            rival: the present model.
+            model: the present model.
             whole: (signals,) mean squared error of the nominal model.
-            left: (signals,) mean squared error of ``rival``.
+            left: (signals,) mean squared error of ``model``.
         """
-        acting = self.problem.acted_on(rival.hypothesis.terms)
+        acting = self.problem.is_acted_on_by(model.hypothesis.terms)
         return own_mismatch(self.problem.signal_floor, whole, left, acting)
 
     def fit_with_own_correction(self, start: Hypothesis, best: ScoredModel) -> ScoredModel:
         """A hypothesis, fitted with the discretization error at its own parameters."""
-        return self._fitted(self.problem.at(start), [start], self.weights(best), FAIR)[0]
+        return self._fit(self.problem.at(start), [start], self.weights(best), DECIDING_ITERATIONS)[
+            0
+        ]
 
-    def fit_to_convergence(self, rival: ScoredModel) -> ScoredModel:
+    def fit_to_convergence(self, model: ScoredModel) -> ScoredModel:
         """A model fitted until convergence, with the discretization error at its parameters.
 
         If time runs out, the model as it was before.
         """
         try:
-            return self._fit_to_convergence(rival)
+            return self._fit_to_convergence(model)
         except OutOfTime:
-            return rival
+            return model
 
-    def _fit_to_convergence(self, rival: ScoredModel) -> ScoredModel:
-        start, weights = rival.hypothesis, self.weights(rival)
+    def _fit_to_convergence(self, model: ScoredModel) -> ScoredModel:
+        start, weights = model.hypothesis, self.weights(model)
         problem = self.problem.at(start)
-        (converged,) = self._fitted(problem, [start], weights, LONG, slopes=True)
+        (converged,) = self._fit(problem, [start], weights, FULL_ITERATIONS, slopes=True)
         if not np.isfinite(converged.held_residual).all():
             # A fit that diverges on held-out recordings is none: stay where it did not.
-            (converged,) = self._fitted(problem, [start], weights, 0, slopes=True)
+            (converged,) = self._fit(problem, [start], weights, 0, slopes=True)
         return converged
 
     def is_spent(self, found: Sequence[Term]) -> bool:
@@ -231,14 +238,14 @@ class ModelComparison:
         Args:
             found: effects that the search has found; each allows more simulations.
         """
-        once = self.problem.once
+        once = self.problem.steps_per_simulation
         names = sum(
             min(n, COMPARISON.effects_counted) for n in Counter(t.joint for t in found).values()
         )
         most = COMPARISON.simulations + COMPARISON.simulations_per_effect * names
-        return self.run.budget.is_spent or self.problem.stepped - self.since > most * once
+        return self.run.budget.is_spent or self.problem.simulated_steps - self.since > most * once
 
-    def step(
+    def record_step(
         self,
         move: str,
         decision: Decision,
@@ -250,18 +257,18 @@ class ModelComparison:
         score = self._score(best)
         self.run.step(
             self.problem, move, decision, reason,
-            Scored()
+            ScoredHypothesis()
             if proposed is None
-            else Scored(proposed.hypothesis, score + proposed.evidence),
-            Scored(best.hypothesis, score),
+            else ScoredHypothesis(proposed.hypothesis, score + proposed.evidence),
+            ScoredHypothesis(best.hypothesis, score),
         )  # fmt: skip
 
-    def _score(self, rival: ScoredModel) -> float:
+    def _score(self, model: ScoredModel) -> float:
         """Evidence of a model relative to the nominal model."""
         known, score = self._scored
-        if known is not rival:
-            copy = replace(rival)
-            self.judge([copy], self.nominal)
+        if known is not model:
+            copy = replace(model)
+            self.score_models([copy], self.nominal)
             score = copy.evidence
-            self._scored = rival, score
+            self._scored = model, score
         return score

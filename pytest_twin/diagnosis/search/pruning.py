@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.evidence import laplace_log_likelihood
-from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.fit import FittedModel, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
@@ -32,19 +32,19 @@ class PrunedModel:
         fitted: the remaining effects.
         reduced_models: the model refitted without each remaining effect.
         notes: a line for each rejected effect.
-        absent: log-likelihood ratio of each rest over the model, where effects were judged by that
-            alone.
+        removal_evidence: term -> log-likelihood ratio of the model without it over the model, where
+            effects were judged by that alone.
         closest: rejected effects that were only the closest known ones to what acts at their joint.
     """
 
-    fitted: Fitted
+    fitted: FittedModel
     reduced_models: list[Hypothesis]
     notes: list[str]
-    absent: Mapping[Term, float] = field(default_factory=dict)
+    removal_evidence: Mapping[Term, float] = field(default_factory=dict)
     closest: tuple[Term, ...] = ()
 
 
-def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -> PrunedModel:
+def prune(problem: Problem, selected: SelectedModel, *, single_step: bool = False) -> PrunedModel:
     """Reject effects that do not exceed the noise, and effects that explain too little.
 
     An effect stays if the refit without it leaves a residual above the noise floor on some tested
@@ -54,24 +54,26 @@ def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -
     Args:
         problem: what is explained.
         selected: result of the search.
-        hurried: whether each refit takes one step only.
+        single_step: whether each refit takes one step only.
     """
     notes, closest = list[str](), list[Term]()
     # The remaining share is judged once, with all effects: each removal raises it for the others.
-    judged = False
+    remaining_share_checked = False
     fitted = selected.best.fitted
-    rivals = {t: _likeliest_rival(selected, t) for t in fitted.hypothesis.terms}
-    (before,) = levels_on(problem.at(EMPTY), [EMPTY], problem.tested)
+    likeliest_alternative = {
+        t: _likeliest_alternative(selected, t) for t in fitted.hypothesis.terms
+    }
+    (before,) = levels_on(problem.at(EMPTY), [EMPTY], problem.tested_segments)
     while fitted.hypothesis.terms:
         here = problem.at(fitted.hypothesis)
-        refitted, weights, base, levels = refit_without_each(here, fitted, hurried)
+        refitted, weights, base, levels = refit_without_each(here, fitted, single_step)
         tested = RefitComparison(
-            here, fitted, selected.confidence, before, base, refitted, levels, weights, rivals,
-            selected.not_simulated,
+            here, fitted, selected.confidence, before, base, refitted, levels, weights,
+            likeliest_alternative, selected.not_simulated,
         )  # fmt: skip
         rule, removed = next(((r, removed) for r in RULES if (removed := r(tested))), (None, {}))
-        if not removed and not judged:
-            judged = True
+        if not removed and not remaining_share_checked:
+            remaining_share_checked = True
             rule, removed = residual_remains, residual_remains(tested)
         if not removed:
             reduced_models = [f.hypothesis for f in refitted]
@@ -82,14 +84,14 @@ def prune(problem: Problem, selected: SelectedModel, *, hurried: bool = False) -
     return PrunedModel(fitted, [], notes, closest=tuple(closest))
 
 
-def _likeliest_rival(selected: SelectedModel, term: Term) -> float:
+def _likeliest_alternative(selected: SelectedModel, term: Term) -> float:
     """Confidence of the likeliest alternative to an effect; no effect at all is one too."""
     others = [a.confidence for a in selected.alternatives_to(term)]
     nothing = 1.0 - selected.confidence.get(term, 1.0) - sum(others)
     return max([nothing, *others])
 
 
-def keep_named(comparison: ModelComparison, best: ScoredModel) -> PrunedModel:
+def prune_by_likelihood(comparison: ModelComparison, best: ScoredModel) -> PrunedModel:
     """Keep the effects of another search that raise the likelihood of whole recordings.
 
     The likelihood is that of absolute deviations, as in fits of stick-slip motion.
@@ -99,23 +101,25 @@ def keep_named(comparison: ModelComparison, best: ScoredModel) -> PrunedModel:
         terms = best.hypothesis.terms
         best = replace(best, problem=comparison.problem.at(best.hypothesis))
         starts = [best.hypothesis.without(t) for t in terms]
-        reduced_models = comparison.rivals(starts, best, SETTINGS.refit_iterations)
-        comparison.judge(reduced_models, best, likelihood=laplace_log_likelihood)
+        reduced_models = comparison.fit_models(starts, best, SETTINGS.refit_iterations)
+        comparison.score_models(reduced_models, best, likelihood=laplace_log_likelihood)
         least = max(range(len(terms)), key=lambda k: reduced_models[k].evidence)
         if reduced_models[least].evidence < 0.0:
-            absent = {t: r.evidence for t, r in zip(terms, reduced_models, strict=True)}
-            return PrunedModel(best.fitted, [r.hypothesis for r in reduced_models], notes, absent)
+            removal_evidence = {t: r.evidence for t, r in zip(terms, reduced_models, strict=True)}
+            return PrunedModel(
+                best.fitted, [r.hypothesis for r in reduced_models], notes, removal_evidence
+            )
         notes.append(
             f"rejected: {label(comparison.problem, terms[least])}: it reduces the error over whole "
             "recordings too little"
         )
-        (best,) = comparison.rivals([reduced_models[least].hypothesis], best, 0, slopes=True)
+        (best,) = comparison.fit_models([reduced_models[least].hypothesis], best, 0, slopes=True)
     return PrunedModel(best.fitted, [], notes)
 
 
 def refit_without_each(
-    problem: Problem, fitted: Fitted, hurried: bool = False
-) -> tuple[list[Fitted], FloatArray, FloatArray, list[FloatArray]]:
+    problem: Problem, fitted: FittedModel, single_step: bool = False
+) -> tuple[list[FittedModel], FloatArray, FloatArray, list[FloatArray]]:
     """Refit a model without each of its effects.
 
     Each refit starts with the Jacobian of the model. In a hurry it takes one step only.
@@ -132,21 +136,21 @@ def refit_without_each(
     ]
     refitted = fit(
         problem, starts, weights, problem.fit,
-        iterations=1 if hurried else SETTINGS.refit_iterations,
+        iterations=1 if single_step else SETTINGS.refit_iterations,
         slopes=False, jacobians=shared,
     )  # fmt: skip
     each = [fitted.hypothesis, *(f.hypothesis for f in refitted)]
-    base, *levels = levels_on(problem, each, problem.tested)
+    base, *levels = levels_on(problem, each, problem.tested_segments)
     return refitted, weights, base, levels
 
 
-def _with_slopes(problem: Problem, fitted: Fitted, weights: FloatArray) -> Fitted:
+def _with_slopes(problem: Problem, fitted: FittedModel, weights: FloatArray) -> FittedModel:
     """The same fit with its Jacobian."""
     if fitted.jacobian.shape[2] == fitted.hypothesis.theta.size:
         return fitted
     return fit(problem, [fitted.hypothesis], weights, problem.fit, iterations=0)[0]
 
 
-def _finite_levels(fitted: Fitted, problem: Problem) -> FloatArray:
+def _finite_levels(fitted: FittedModel, problem: Problem) -> FloatArray:
     level = in_noise_floors(fitted.residual, problem.signal_floor)
     return np.where(np.isfinite(level), level, 0.0)

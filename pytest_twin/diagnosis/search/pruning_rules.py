@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.fit import FittedModel, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import Spread, parameter_spread
-from pytest_twin.diagnosis.locate import missing_force
+from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
+from pytest_twin.diagnosis.locate import compute_missing_force
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, label, levels_on
 from pytest_twin.diagnosis.search.pruning_settings import SETTINGS
@@ -37,27 +37,27 @@ class RefitComparison:
         refitted: the model without each effect.
         levels: (signals,) residual of each of these, in noise floors.
         weights: (signals,) of the refits.
-        rivals: confidence of the likeliest alternative to each effect; without, all alternatives
-            are one.
+        likeliest_alternative: term -> confidence of its likeliest alternative. All
+            alternatives to a term that is not listed count as one.
         not_simulated: effects whose alternatives were not simulated. A comparison in the linearized
             motion ranks alternatives; it is no ground to reject an effect that was simulated.
     """
 
     problem: Problem
-    fitted: Fitted
+    fitted: FittedModel
     confidence: Mapping[Term, float]
     before: FloatArray
     base: FloatArray
-    refitted: list[Fitted]
+    refitted: list[FittedModel]
     levels: list[FloatArray]
     weights: FloatArray
-    rivals: Mapping[Term, float] = field(default_factory=dict)
+    likeliest_alternative: Mapping[Term, float] = field(default_factory=dict)
     not_simulated: frozenset[Term] = frozenset()
 
     @cached_property
-    def known(self) -> Spread:
+    def uncertainty(self) -> ParameterUncertainty:
         """Covariance of the parameters."""
-        return parameter_spread(self.problem, self.fitted, in_parts=False)
+        return parameter_uncertainty(self.problem, self.fitted, in_parts=False)
 
     @cached_property
     def errors(self) -> list[JointError]:
@@ -71,7 +71,7 @@ class RefitComparison:
         """Effects of the fitted model."""
         return self.fitted.hypothesis.terms
 
-    def chance(self, term: Term) -> float:
+    def confidence_of(self, term: Term) -> float:
         """Confidence of an effect; 1 where it was compared with no alternative."""
         return self.confidence.get(term, 1.0)
 
@@ -83,9 +83,9 @@ class RefitComparison:
         """
         if term in self.not_simulated:
             return True
-        chance = self.chance(term)
-        rival = self.rivals.get(term, 1.0 - chance)
-        return chance >= SETTINGS.even or chance >= SETTINGS.as_likely * rival
+        confidence_of = self.confidence_of(term)
+        likeliest = self.likeliest_alternative.get(term, 1.0 - confidence_of)
+        return confidence_of >= SETTINGS.even or confidence_of >= SETTINGS.as_likely * likeliest
 
     def is_explained_without(self, k: int) -> bool:
         """Whether the signals that an effect can change are explained without it."""
@@ -97,7 +97,7 @@ class RefitComparison:
         """Effect and joint in words."""
         return label(self.problem, self.terms[k])
 
-    def without(self, removed: Sequence[int]) -> Fitted:
+    def without(self, removed: Sequence[int]) -> FittedModel:
         """The model refitted without the effects of these numbers."""
         if len(removed) == 1:
             return self.refitted[removed[0]]
@@ -125,9 +125,9 @@ def removes_too_little(tested: RefitComparison) -> Rejections:
         return {k: f"rejected: {tested.label(k)}: the simulation diverges with it"}
     idle = dict[int, str]()
     for k, (term, level) in enumerate(zip(tested.terms, levels, strict=True)):
-        acting = tested.problem.acted_on(tested.fitted.hypothesis.without(term).terms)
+        acting = tested.problem.is_acted_on_by(tested.fitted.hypothesis.without(term).terms)
         whole = own_mismatch(one, tested.before**2, level**2, acting)
-        doubt = _doubt(tested, term)
+        doubt = _reason_for_doubt(tested, term)
         floors = VERDICT.identifiable * (SETTINGS.doubtful_factor if doubt else 1.0)
         if not reduces_error_enough(one, level**2, tested.base**2, whole, floors):
             idle[k] = f"; {doubt}" if doubt else ""
@@ -138,13 +138,13 @@ def removes_too_little(tested: RefitComparison) -> Rejections:
     return {k: f"rejected: {tested.label(k)}: {why}"}
 
 
-def _doubt(tested: RefitComparison, term: Term) -> str:
+def _reason_for_doubt(tested: RefitComparison, term: Term) -> str:
     """Why an effect needs clearer evidence; empty if it does not."""
     problem, fitted = tested.problem, tested.fitted
     # Dry friction that turns to bristles of the least length is dry friction in another form.
     if problem.has_shape_at_bound(fitted.hypothesis, term):
         return "a shape parameter is at its bound"
-    if may_be_absent(fitted, term, tested.known):
+    if may_be_absent(fitted, term, tested.uncertainty):
         return "its 95 % interval includes its absence"
     if not len(problem.held_out) and _recordings_that_need(tested, term) < 2:
         return "only one recording shows it"
@@ -182,8 +182,8 @@ def alternatives_more_likely(tested: RefitComparison) -> Rejections:
         taken = float(np.sum(tested.levels[k] ** 2 - tested.base**2))
         is_small = taken < SETTINGS.small_share * whole and tested.is_explained_without(k)
         least = SETTINGS.least_confidence if len(tested.terms) > 1 else 0.0
-        if tested.chance(t) < (SETTINGS.sure_of_small if is_small else least):
-            doubtful[k] = tested.chance(t)
+        if tested.confidence_of(t) < (SETTINGS.sure_of_small if is_small else least):
+            doubtful[k] = tested.confidence_of(t)
     if not doubtful:
         return {}
     k = min(doubtful, key=lambda k: doubtful[k])
@@ -202,8 +202,8 @@ def at_bound_or_in_doubt(tested: RefitComparison) -> Rejections:
         if all(explained) if t.joint < 0 else explained[t.joint]:
             continue
         likely = tested.is_likely(t)
-        at_an_end = hypothesis.at_bound(t) or problem.has_shape_at_bound(hypothesis, t)
-        if likely and not at_an_end and not in_doubt(tested, k):
+        at_an_end = hypothesis.is_at_bound(t) or problem.has_shape_at_bound(hypothesis, t)
+        if likely and not at_an_end and not is_in_doubt(tested, k):
             continue
         why = (
             "a parameter is at its physical bound, or its 95 % interval includes zero"
@@ -244,8 +244,8 @@ def _explained_by_position_and_velocity(
 ) -> tuple[float, float]:
     """Shares of the variance of a joint's missing force that position and velocity explain."""
     segments = problem.simulator.segments
-    (residual,) = problem.residuals([hypothesis], problem.everywhere)
-    force = missing_force(problem, residual, problem.floor).force[:, joint]
+    (residual,) = problem.residuals([hypothesis], problem.all_segments)
+    force = compute_missing_force(problem, residual, problem.floor).force[:, joint]
     whole = float(np.var(force)) * len(force)
     if not np.isfinite(whole) or whole <= 0.0:
         return 0.0, 0.0
@@ -272,7 +272,8 @@ def residual_remains(tested: RefitComparison) -> Rejections:
         share = share_too_large(
             tested.problem, t, *_levels_that_count(tested, t),
             several=sum(other.joint == t.joint >= 0 for other in tested.terms) > 1,
-            sure=tested.chance(t) >= SETTINGS.sure and not tested.fitted.hypothesis.at_bound(t),
+            sure=tested.confidence_of(t) >= SETTINGS.sure
+            and not tested.fitted.hypothesis.is_at_bound(t),
         )  # fmt: skip
         if share > 0.0:
             removed[k] = (
@@ -292,16 +293,16 @@ def _levels_that_count(tested: RefitComparison, term: Term) -> tuple[FloatArray,
     hardly = tested.before[_signals_of(problem, term)].max() <= VERDICT.at_floor
     if not hardly or not len(problem.held_out):
         return tested.before, tested.base
-    (before,) = levels_on(problem.at(EMPTY), [EMPTY], problem.everywhere)
-    (base,) = levels_on(problem, [tested.fitted.hypothesis], problem.everywhere)
+    (before,) = levels_on(problem.at(EMPTY), [EMPTY], problem.all_segments)
+    (base,) = levels_on(problem, [tested.fitted.hypothesis], problem.all_segments)
     return before, base
 
 
-def in_doubt(tested: RefitComparison, k: int) -> bool:
+def is_in_doubt(tested: RefitComparison, k: int) -> bool:
     """Whether an effect may be absent and explains no large share where it acts."""
     if is_needed(tested, k):
         return False
-    return may_be_absent(tested.fitted, tested.terms[k], tested.known, SETTINGS.doubt_width)
+    return may_be_absent(tested.fitted, tested.terms[k], tested.uncertainty, SETTINGS.doubt_width)
 
 
 def is_needed(tested: RefitComparison, k: int) -> bool:
@@ -311,7 +312,9 @@ def is_needed(tested: RefitComparison, k: int) -> bool:
     return bool((more > SETTINGS.needed_share * tested.before[columns] ** 2).any())
 
 
-def may_be_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0) -> bool:
+def may_be_absent(
+    fitted: FittedModel, term: Term, uncertainty: ParameterUncertainty, within: float = 1.0
+) -> bool:
     """Whether the 95 % region of the parameters that switch an effect on contains its absence.
 
     Parameters without a slope (the release of a drive) have no region; such an effect is present.
@@ -319,7 +322,7 @@ def may_be_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0
     Args:
         fitted: the model.
         term: the effect.
-        known: covariance of the model.
+        uncertainty: covariance of the model.
         within: factor on the width of the region.
     """
     place = fitted.hypothesis.slice_of(term)
@@ -329,7 +332,7 @@ def may_be_absent(fitted: Fitted, term: Term, known: Spread, within: float = 1.0
         return False
     neutral = [term.parameters[k].neutral for k in own]
     offset = np.array(neutral, dtype=float) - fitted.hypothesis.theta[amplitude_indices]
-    return known.apart(np.array(amplitude_indices), offset) <= within
+    return uncertainty.normalized_distance(np.array(amplitude_indices), offset) <= within
 
 
 def share_too_large(

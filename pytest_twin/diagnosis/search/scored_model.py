@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.fit import FittedModel
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.settings import SELECTION
@@ -29,7 +29,7 @@ class ScoredModel:
         held_gain: log-likelihood on the validation recordings relative to the same reference.
     """
 
-    fitted: Fitted
+    fitted: FittedModel
     held_residual: FloatArray
     problem: Problem
     evidence: float = 0.0
@@ -41,7 +41,7 @@ class ScoredModel:
         return self.fitted.hypothesis
 
     @property
-    def left(self) -> FloatArray:
+    def max_mean_square(self) -> FloatArray:
         """(signals,) mean squared residual, the larger of fit and validation recordings."""
         seen = self.fitted.mean_square
         if not len(self.held_residual):
@@ -51,20 +51,21 @@ class ScoredModel:
 
 
 @dataclass(frozen=True, slots=True)
-class Alternative:
+class AlternativeEffects:
     """Another set of effects instead of some of those that were found.
 
     Attributes:
         new: effects that it has instead.
         removed: effects that it lacks.
         confidence: posterior share.
-        apart: largest RMS difference between the two predictions, in noise floors; None if unknown.
+        prediction_difference: largest RMS difference between the two predictions, in noise floors;
+            None if unknown.
     """
 
     new: tuple[Term, ...]
     removed: tuple[Term, ...]
     confidence: float
-    apart: float | None = None
+    prediction_difference: float | None = None
 
 
 @dataclass(slots=True)
@@ -80,12 +81,13 @@ class SelectedModel:
             to the best; key None: without the term. It is exact where a share underflows.
         sets: term -> alternative sets of effects, most likely first; empty until the final set was
             compared with other sets. They then replace ``alternatives``.
-        near: models that explain nearly as much: their odds against the best, and the difference of
-            the parameters of common terms, scaled.
-        tried: number of candidates.
+        nearby_models: models that explain nearly as much: their odds against the best, and the
+            difference of the parameters of common terms, scaled.
+        candidate_count: number of candidates.
         not_simulated: terms whose alternatives were not simulated, because the time was over: they
             were compared in the linearized motion, or not at all.
-        rivals: other sets, fitted, that the structure search found nearly as good as its result.
+        nearly_as_good: other sets, fitted, that the structure search found nearly as good as its
+            result.
     """
 
     best: ScoredModel
@@ -93,17 +95,19 @@ class SelectedModel:
     confidence: dict[Term, float] = field(default_factory=dict)
     alternatives: dict[Term, list[tuple[Term, float]]] = field(default_factory=dict)
     evidence: dict[Term, dict[Term | None, float]] = field(default_factory=dict)
-    sets: dict[Term, list[Alternative]] = field(default_factory=dict)
-    near: list[tuple[float, dict[Term, FloatArray]]] = field(default_factory=list)
-    tried: int = 0
+    sets: dict[Term, list[AlternativeEffects]] = field(default_factory=dict)
+    nearby_models: list[tuple[float, dict[Term, FloatArray]]] = field(default_factory=list)
+    candidate_count: int = 0
     not_simulated: frozenset[Term] = frozenset()
-    rivals: tuple[Hypothesis, ...] = ()
+    nearly_as_good: tuple[Hypothesis, ...] = ()
 
-    def alternatives_to(self, term: Term) -> list[Alternative]:
+    def alternatives_to(self, term: Term) -> list[AlternativeEffects]:
         """Alternatives to a term, most likely first."""
         if term in self.sets:
             return self.sets[term]
-        return [Alternative((new,), (term,), c) for new, c in self.alternatives.get(term, [])]
+        return [
+            AlternativeEffects((new,), (term,), c) for new, c in self.alternatives.get(term, [])
+        ]
 
     def weigh(self, evidence: Mapping[Place, float]) -> None:
         """Set confidence and alternatives of each term from the evidence of its alternatives.
@@ -132,14 +136,14 @@ class SelectedModel:
             )
 
 
-def compare_below_floor(rival: ScoredModel, other: ScoredModel, floor: FloatArray) -> int:
+def compare_below_floor(model: ScoredModel, other: ScoredModel, floor: FloatArray) -> int:
     """Compare residuals that are both below the noise floor.
 
     The noise floor is an upper estimate. If both residuals are far below it, their ratio still
     separates two laws.
 
     Returns:
-        1 if the residual of ``rival`` is clearly smaller, -1 if it is clearly larger, else 0.
+        1 if the residual of ``model`` is clearly smaller, -1 if it is clearly larger, else 0.
     """
 
     def more(one: FloatArray, two: FloatArray) -> float:
@@ -150,8 +154,8 @@ def compare_below_floor(rival: ScoredModel, other: ScoredModel, floor: FloatArra
         first, second = levels
         return float(0.5 * np.log(first / second).sum())
 
-    each = [more(other.fitted.residual, rival.fitted.residual)]
-    if len(rival.held_residual):
-        each.append(more(other.held_residual, rival.held_residual))
+    each = [more(other.fitted.residual, model.fitted.residual)]
+    if len(model.held_residual):
+        each.append(more(other.held_residual, model.held_residual))
     clearly = np.log(SELECTION.clearly_less)
     return int(min(each) >= clearly) - int(max(each) <= -clearly)

@@ -26,7 +26,7 @@ def merge_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     for a, b in itertools.combinations(terms, 2):
         if a.joint != b.joint:
             continue
-        out += [h for h in (hypothesis.absorbed(a, b), hypothesis.absorbed(b, a)) if h]
+        out += [h for h in (hypothesis.with_absorbed(a, b), hypothesis.with_absorbed(b, a)) if h]
         for new in candidates(problem):
             both = {a.effect, b.effect} <= set(new.law.confused_with)
             if both and new.joint == a.joint and new not in hypothesis.terms:
@@ -80,9 +80,9 @@ def special_cases(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
     """Hypotheses with one law replaced by a special case of it."""
     out = []
     for term in hypothesis.terms:
-        bare = hypothesis.without(term)
+        rest = hypothesis.without(term)
         cases = _special_cases(problem, hypothesis, term)
-        out += [bare.with_term(new, start) for new, start in cases.items()]
+        out += [rest.with_term(new, start) for new, start in cases.items()]
     return out
 
 
@@ -131,18 +131,18 @@ def equal_sized_forms(hypothesis: Hypothesis) -> list[Hypothesis]:
     """
     out = []
     for term in hypothesis.terms:
-        out += _forms(hypothesis, term, len(term.parameters))
-    return [h for h in out if h.free == hypothesis.free]
+        out += _other_forms(hypothesis, term, len(term.parameters))
+    return [h for h in out if h.free_count == hypothesis.free_count]
 
 
 def _forms_with_fewer(hypothesis: Hypothesis, term: Term) -> list[Hypothesis]:
     """The hypothesis with a term in each form that has fewer parameters."""
     own = hypothesis.theta[hypothesis.slice_of(term)]
-    return _forms(hypothesis, term, int(term.is_estimated(own).sum()) - 1)
+    return _other_forms(hypothesis, term, int(term.is_estimated(own).sum()) - 1)
 
 
-def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
-    """Hypotheses with a term in each other form with at most ``most`` parameters.
+def _other_forms(hypothesis: Hypothesis, term: Term, max_parameters: int) -> list[Hypothesis]:
+    """Hypotheses with a term in each other form with at most ``max_parameters`` parameters.
 
     Parameters that both forms have are kept.
     """
@@ -151,7 +151,7 @@ def _forms(hypothesis: Hypothesis, term: Term, most: int) -> list[Hypothesis]:
     is_estimated, found = term.is_estimated(own), dict[bytes, Hypothesis]()
     for start, _ in starting_grid(term):
         other = term.is_estimated(start)
-        if other.sum() <= most:
+        if other.sum() <= max_parameters:
             theta = hypothesis.theta.copy()
             theta[place] = np.where(is_estimated & other, own, start)
             found[theta.tobytes()] = hypothesis.with_theta(theta)

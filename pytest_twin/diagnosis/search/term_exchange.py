@@ -88,7 +88,7 @@ def find_exchanges(
             found += sorted(alike, key=lambda x: -x.evidence)[: EXCHANGE.alternatives_to_several]
     if linearized.linear is None:
         return found
-    near = _worth_fitting(found)
+    near = _indices_to_fit(found)
     fitted, evidence = fit_and_score_linearized(
         linearized.linear,
         linearized.view,
@@ -185,7 +185,7 @@ def better_than_several(
     return [*kept, *better.values()]
 
 
-def _worth_fitting(found: Sequence[TermExchange]) -> list[int]:
+def _indices_to_fit(found: Sequence[TermExchange]) -> list[int]:
     """Indices of the exchanges that may be the best after a fit in the linearized motion."""
     out = []
     for removed in dict.fromkeys(x.removed for x in found):
@@ -243,9 +243,9 @@ def simulated_evidence(
         simulated: the simulated ones with their evidence.
     """
     evidence = {(x.removed, x.new): x.evidence for x in found}
-    told = [(x, e) for x, e in simulated if not x.is_doubtful]
-    for removed in dict.fromkeys(x.removed for x, _ in told):
-        lost = min(x.evidence - e for x, e in told if x.removed == removed)
+    reliable = [(x, e) for x, e in simulated if not x.is_doubtful]
+    for removed in dict.fromkeys(x.removed for x, _ in reliable):
+        lost = min(x.evidence - e for x, e in reliable if x.removed == removed)
         for x in found:
             if x.removed == removed and x.new is not None and not x.is_doubtful:
                 evidence[removed, x.new] -= max(lost, 0.0)
@@ -263,7 +263,7 @@ def _chance_gain(
         return EXCHANGE.general_ahead * lost * sample_ratio
     if exchange.is_special_case:
         return -EXCHANGE.special_behind * lost * sample_ratio
-    more = exchange.hypothesis.free - own.free
+    more = exchange.hypothesis.free_count - own.free_count
     if more < 0 and len(exchange.removed) > 1:
         return 0.0
     return float(np.sign(more)) * min(SELECTION.as_good * simulated, EXCHANGE.chance)
@@ -279,10 +279,10 @@ def _exchanges_in_places(
     """For each removed set: no term and the ``count`` best candidates, to first order."""
     own, view = best.hypothesis, linearized.view
     reduced = [own.without(*removed) for removed in places]
-    gears = [any(t.law.is_elastic_transmission for t in removed) for removed in places]
+    removes_elastic = [any(t.law.is_elastic_transmission for t in removed) for removed in places]
     out = []
-    lefts = _residuals_of(best.problem, linearized.linear, view, reduced, gears)
-    for removed, rest, gear, left in zip(places, reduced, gears, lefts, strict=True):
+    residuals = _residuals_of(best.problem, linearized.linear, view, reduced, removes_elastic)
+    for removed, rest, gear, left in zip(places, reduced, removes_elastic, residuals, strict=True):
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
         equations = NormalEquations(
             ResidualView(left, slope, view.floor, view.lengths),
@@ -291,9 +291,11 @@ def _exchanges_in_places(
         chosen = equations.children(equations.base, count, rest.terms)
         structures = [equations.base, *(equations.structure(c) for c in chosen)]
         hypotheses = [rest.with_terms(s.starts) for s in structures]
-        seen = [LinearizedFit(h, s.residual) for h, s in zip(hypotheses, structures, strict=True)]
+        linear_fits = [
+            LinearizedFit(h, s.residual) for h, s in zip(hypotheses, structures, strict=True)
+        ]
         values = linearized_evidence(
-            view, [LinearizedFit(own, view.residual), *seen], penalty_per_effect
+            view, [LinearizedFit(own, view.residual), *linear_fits], penalty_per_effect
         )
         values = np.nan_to_num(values, nan=-np.inf)
         far = bool(view.is_above(np.mean(left**2, axis=0), EXCHANGE.far_apart).any())
@@ -309,13 +311,13 @@ def _residuals_of(
     linear: Linearization | None,
     view: ResidualView,
     reduced: Sequence[Hypothesis],
-    gears: Sequence[bool],
+    removes_elastic: Sequence[bool],
 ) -> list[FloatArray]:
     """(bins, signals) residual of each reduced model.
 
     It is simulated if an elastic transmission was removed or the problem has no linearization.
     """
-    simulated = [k for k, gear in enumerate(gears) if gear or linear is None]
+    simulated = [k for k, gear in enumerate(removes_elastic) if gear or linear is None]
     not_simulated = [k for k in range(len(reduced)) if k not in simulated]
     out: dict[int, FloatArray] = {}
     if simulated:
@@ -340,20 +342,24 @@ def residuals_without(
     The other parameters are not fitted again. The residual is simulated if an elastic transmission
     is removed, else it is linearized.
     """
-    gears = [any(t.law.is_elastic_transmission for t in removed) for removed in places]
+    removes_elastic = [any(t.law.is_elastic_transmission for t in removed) for removed in places]
     reduced = [own.without(*removed) for removed in places]
-    return _residuals_of(problem, linear, view, reduced, gears)
+    return _residuals_of(problem, linear, view, reduced, removes_elastic)
 
 
 def _groups_of_joint(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
     """Sets of terms that are removed together: of one joint, with rigid-body terms of the robot."""
     out: dict[tuple[Term, ...], None] = {}
     for joint in {t.joint for t in terms if t.joint >= 0}:
-        crowd = [
+        removable = [
             t for t in terms
             if t.joint == joint or (t.joint < 0 and t.law.family == "rigid_body")
         ]  # fmt: skip
-        sizes = range(2, len(crowd) + 1) if len(crowd) <= EXCHANGE.crowd else (2, len(crowd))
+        sizes = (
+            range(2, len(removable) + 1)
+            if len(removable) <= EXCHANGE.crowd
+            else (2, len(removable))
+        )
         for size in sizes:
-            out.update(dict.fromkeys(itertools.combinations(crowd, size)))
+            out.update(dict.fromkeys(itertools.combinations(removable, size)))
     return list(out)

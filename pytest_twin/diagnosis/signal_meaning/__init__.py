@@ -6,9 +6,19 @@ Each module answers one question, with confidence and evidence in words. If the 
 determine the answer it is None, and later steps do not depend on it.
 """
 
-from pytest_twin.diagnosis.signal_meaning.command_between import Between
-from pytest_twin.diagnosis.signal_meaning.doubt import with_doubt
-from pytest_twin.diagnosis.signal_meaning.reconsidered import with_fewer_effects
+from pytest_twin.diagnosis.signal_meaning.command_interpolation import CommandInterpolation
+from pytest_twin.diagnosis.signal_meaning.interpolation_after_search import (
+    interpolation_with_fewer_effects,
+)
+from pytest_twin.diagnosis.signal_meaning.interpolation_uncertainty import (
+    with_interpolation_uncertainty,
+)
 from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals, determine_signals
 
-__all__ = ["Between", "RecordedSignals", "determine_signals", "with_doubt", "with_fewer_effects"]
+__all__ = [
+    "CommandInterpolation",
+    "RecordedSignals",
+    "determine_signals",
+    "interpolation_with_fewer_effects",
+    "with_interpolation_uncertainty",
+]

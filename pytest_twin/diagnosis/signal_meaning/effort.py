@@ -25,22 +25,22 @@ _NEGLIGIBLE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Law:
+class LawFit:
     """How well a law explains efforts.
 
     Attributes:
-        left: RMS residual without its largest tenth (samples next to jumps), N*m or N.
-        older: age of the effort relative to its stamp, s.
-        at_once: the same residual if the effort has no age.
+        rms: RMS residual without its largest tenth (samples next to jumps), N*m or N.
+        age: age of the effort relative to its stamp, s.
+        rms_without_age: the same residual if the effort has no age.
     """
 
-    left: float
-    older: float
-    at_once: float
+    rms: float
+    age: float
+    rms_without_age: float
 
 
 @dataclass(frozen=True, slots=True)
-class Signals:
+class JointLog:
     """Log of one joint, with the inputs of the control law on a fine time grid.
 
     Attributes:
@@ -58,7 +58,7 @@ class Signals:
     speed: FloatArray | None
 
 
-def signals(
+def build_joint_log(
     time: FloatArray,
     position: FloatArray,
     velocity: FloatArray | None,
@@ -67,8 +67,8 @@ def signals(
     joint: int,
     *,
     mode: CommandMode,
-) -> Signals | None:
-    """Log of one joint for :func:`law`; None if there are too few samples.
+) -> JointLog | None:
+    """Log of one joint for :func:`fit_control_law`; None if there are too few samples.
 
     Positions and velocities are smoothed equally at all times of the grid. Otherwise times between
     samples would fit better because interpolation reduces noise there.
@@ -84,29 +84,29 @@ def signals(
         return None
     period = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1], period / EFFORTS.fine)
-    asked = setpoint.at(grid)[:, joint]
+    setpoints = setpoint.at(grid)[:, joint]
     if mode == "effort":
-        return Signals(time, effort, grid, asked, None)
+        return JointLog(time, effort, grid, setpoints, None)
     smooth, slope, _ = derivatives(time, position[:, None], EFFORTS.smooth * period)
     if velocity is not None:
         slope, _, _ = derivatives(time, velocity[:, None], EFFORTS.smooth * period)
     speed = np.interp(grid, time, slope[:, 0])
     if mode == "velocity":
-        return Signals(time, effort, grid, asked - speed, speed)
+        return JointLog(time, effort, grid, setpoints - speed, speed)
     at = CubicSpline(time, smooth[:, 0])(grid)
-    return Signals(time, effort, grid, asked - at, speed)
+    return JointLog(time, effort, grid, setpoints - at, speed)
 
 
-def pooled(laws: Sequence[Law]) -> Law:
+def pool_recordings(laws: Sequence[LawFit]) -> LawFit:
     """One law for several recordings: geometric means of the residuals, median of the ages."""
-    left, at_once = (
+    rms, rms_without_age = (
         float(np.exp(np.mean(np.log(np.maximum(values, 1e-300)))))
-        for values in ([x.left for x in laws], [x.at_once for x in laws])
+        for values in ([x.rms for x in laws], [x.rms_without_age for x in laws])
     )
-    return Law(left, float(np.median([x.older for x in laws])), at_once)
+    return LawFit(rms, float(np.median([x.age for x in laws])), rms_without_age)
 
 
-def law(log: Signals, lag: float = 0.0, dead_zone: float = 0.0) -> Law:
+def fit_control_law(log: JointLog, lag: float = 0.0, dead_zone: float = 0.0) -> LawFit:
     """How well the control law on the measured state explains the efforts, with fitted gains.
 
     Args:
@@ -117,22 +117,22 @@ def law(log: Signals, lag: float = 0.0, dead_zone: float = 0.0) -> Law:
     error = log.error - np.clip(log.error, -dead_zone, dead_zone)
     columns = [error] if log.speed is None else [error, log.speed]
     step = log.grid[1] - log.grid[0]
-    columns = [_lagged(c, lag, step) for c in columns]
+    columns = [_apply_lag(c, lag, step) for c in columns]
     period = EFFORTS.fine * step
     inner = slice(2, -2)
     tried = []
-    for older in np.linspace(-EFFORTS.reach, EFFORTS.reach, 2 * EFFORTS.parts + 1) * period:
-        then = [np.interp(log.time - older, log.grid, c) for c in columns]
+    for age in np.linspace(-EFFORTS.reach, EFFORTS.reach, 2 * EFFORTS.parts + 1) * period:
+        then = [np.interp(log.time - age, log.grid, c) for c in columns]
         table = np.stack([*then, np.ones(len(log.time))], axis=1)
-        tried.append((_residual_rms(log.effort[inner], table[inner]), float(older)))
+        tried.append((_residual_rms(log.effort[inner], table[inner]), float(age)))
     # Between two steps of a held command all ages fit equally well; the smallest one is reported.
     alike = EFFORTS.alike * max(min(tried)[0], _NEGLIGIBLE * float(np.std(log.effort)))
-    left, older = min((t for t in tried if t[0] <= alike), key=lambda each: abs(each[1]))
-    at_once = min(tried, key=lambda each: abs(each[1]))[0]
-    return Law(left, older, at_once)
+    rms, age = min((t for t in tried if t[0] <= alike), key=lambda each: abs(each[1]))
+    rms_without_age = min(tried, key=lambda each: abs(each[1]))[0]
+    return LawFit(rms, age, rms_without_age)
 
 
-def _lagged(values: FloatArray, lag: float, step: float) -> FloatArray:
+def _apply_lag(values: FloatArray, lag: float, step: float) -> FloatArray:
     """Values after a first-order lag of ``lag`` s, in equilibrium at the start."""
     if lag <= step:
         return values
@@ -143,7 +143,7 @@ def _lagged(values: FloatArray, lag: float, step: float) -> FloatArray:
     return out
 
 
-def is_the_command(log: Signals) -> bool:
+def equals_command(log: JointLog) -> bool:
     """Whether the logged efforts of an effort drive equal its commands, to within their noise.
 
     A drive that computes the effort from current and nominal motor constant logs the command. Taken
@@ -157,19 +157,21 @@ def is_the_command(log: Signals) -> bool:
     table = np.stack([command[near], np.ones(int(near.sum()))], axis=1)
     (gain, offset), *_ = np.linalg.lstsq(table, effort[near], rcond=None)
     off = effort[near] - table @ np.array([gain, offset])
-    left, spread = _deviation(off), float(np.std(command[near]))
+    rms, spread = _deviation(off), float(np.std(command[near]))
     # Noise is independent from sample to sample; the error of a lag or dead zone lasts longer.
     noise = _deviation(np.diff(off)) / np.sqrt(2.0)
-    if spread == 0.0 or left > EFFORTS.explains * spread or left > EFFORTS.ahead * noise:
+    if spread == 0.0 or rms > EFFORTS.explains * spread or rms > EFFORTS.ahead * noise:
         return False
-    deviation = left / spread / np.sqrt(len(command))
+    deviation = rms / spread / np.sqrt(len(command))
     return bool(
         abs(gain - 1.0) <= max(3.0 * deviation, EFFORTS.equal)
         and abs(offset) <= max(3.0 * deviation, EFFORTS.equal) * spread
     )
 
 
-def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], period: float) -> Fact:
+def effort_fact(
+    scale: float, demands: Sequence[LawFit], drives: Sequence[LawFit], period: float
+) -> Fact:
     """Origin and age of a logged effort.
 
     Args:
@@ -180,12 +182,12 @@ def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], per
         period: sample period, s.
     """
     laws = {"demanded": tuple(demands), "measured": tuple(drives)}
-    best = {name: min(x.left for x in each) for name, each in laws.items() if each}
+    best = {name: min(x.rms for x in each) for name, each in laws.items() if each}
     name = min(best, key=lambda n: best[n], default=None)
     if name is None or best[name] > EFFORTS.explains * scale:
         return unknown("the controller's law on the measured states does not explain the efforts")
-    older = _older([x for x in laws[name] if x.left <= EFFORTS.alike * best[name]], period)
-    numbers = {"lag": (older, "s")}
+    age = _reported_age([x for x in laws[name] if x.rms <= EFFORTS.alike * best[name]], period)
+    numbers = {"lag": (age, "s")}
     unit = f"their own deviation {scale:.3g}, N*m or N"
     words = (
         "the controller's law on the measured states explains the logged efforts to "
@@ -197,24 +199,22 @@ def effort_fact(scale: float, demands: Sequence[Law], drives: Sequence[Law], per
             f"sensor measures them behind the drive that explains the motion: "
             f"{best['measured']:.3g} ({unit})"
         )
-    if older:
-        side = "older" if older > 0.0 else "younger"
-        words += (
-            f"; the effort is {1e3 * abs(older):.3g} ms {side} than the positions of its message"
-        )
+    if age:
+        side = "older" if age > 0.0 else "younger"
+        words += f"; the effort is {1e3 * abs(age):.3g} ms {side} than the positions of its message"
     if len(best) < 2 or max(best.values()) < EFFORTS.ahead * best[name]:
         return Fact(None, 0.0, "data", words, numbers)
     return Fact(name, 0.99, "data", words, numbers)
 
 
-def _older(laws: Sequence[Law], period: float) -> float:
+def _reported_age(laws: Sequence[LawFit], period: float) -> float:
     """Age of an effort relative to its stamp in s, the smallest among equally good laws.
 
     It is 0 if a law explains the effort without an age.
     """
     late = [
-        x.older
-        if abs(x.older) > EFFORTS.late * period and x.left < EFFORTS.less * x.at_once
+        x.age
+        if abs(x.age) > EFFORTS.late * period and x.rms < EFFORTS.less * x.rms_without_age
         else 0.0
         for x in laws
     ]

@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term, effect_values
-from pytest_twin.diagnosis.problem import Problem, corrected
+from pytest_twin.diagnosis.problem import Problem, add_step_error
 from pytest_twin.diagnosis.signal_meaning.settings import JOINT_FIT
 from pytest_twin.effects.actuation import ActuatorLag, ControllerGain, DeadZone
 from pytest_twin.effects.friction import CoulombFriction, ViscousFriction
@@ -26,7 +26,7 @@ from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.effects.transmission import JointSpring
 
-PRIORS: dict[tuple[str, str], float] = {
+PRIOR_DEVIATIONS: dict[tuple[str, str], float] = {
     (CommandDelay.id, "delay"): 0.02,
     (ActuatorLag.id, "time_constant"): 0.02,
     (ControllerGain.id, "stiffness_error"): 0.3,
@@ -41,13 +41,13 @@ PRIORS: dict[tuple[str, str], float] = {
 """Effect and parameter -> standard deviation of its prior around the model's value, in the scale of
 the parameter (s, 1, rad, or the joint's typical damping, effort, inertia or stiffness). The priors
 are wide, so they only determine parameters that the recordings do not."""
-DELAY = list(PRIORS).index((CommandDelay.id, "delay"))
+DELAY = list(PRIOR_DEVIATIONS).index((CommandDelay.id, "delay"))
 # Levenberg-Marquardt dampings that are tried, as shares of the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
 
 
 @dataclass(frozen=True, slots=True)
-class JointFit:
+class SmoothParameterFit:
     """Parameters of all joints at their optimum, with their residuals.
 
     Attributes:
@@ -55,7 +55,7 @@ class JointFit:
         nominal: the same for the nominal model.
         slopes: (samples, parameters, joints) derivatives of each joint's prediction with respect to
             its own parameters.
-        theta: (parameters, joints) scaled parameters, in the order of :data:`PRIORS`.
+        theta: (parameters, joints) scaled parameters, in the order of :data:`PRIOR_DEVIATIONS`.
         has_converged: whether another step would gain nothing.
     """
 
@@ -76,7 +76,9 @@ class _State:
     has_converged: bool = False
 
 
-def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
+def fit_smooth_parameters(
+    space: SmoothParameters, delays: Sequence[float]
+) -> list[SmoothParameterFit]:
     """Fit the smooth parameters of all joints to each group of segments.
 
     The groups are the same recordings under different assumptions. The derivatives are computed for
@@ -118,7 +120,7 @@ def fit_joints(space: Parameters, delays: Sequence[float]) -> list[JointFit]:
             state.has_converged = True
             states[i] = better if better.score > state.score else state
     return [
-        JointFit(s.residual, before, slopes, s.theta, s.has_converged)
+        SmoothParameterFit(s.residual, before, slopes, s.theta, s.has_converged)
         for s, before in zip(states, nominal, strict=True)
     ]
 
@@ -135,7 +137,7 @@ def _has_settled(states: Sequence[_State], noise: FloatArray) -> bool:
     return all(s.has_converged or f or o for s, f, o in zip(states, fits, far, strict=True))
 
 
-class Parameters:
+class SmoothParameters:
     """The parameters of all joints: their terms, bounds and priors.
 
     Args:
@@ -150,24 +152,24 @@ class Parameters:
         self.problem, self.groups, self.noise = problem, groups, noise
         self.iterations = 0
         joints = len(problem.joints)
-        effects = list(dict.fromkeys(effect for effect, _ in PRIORS))
+        effects = list(dict.fromkeys(effect for effect, _ in PRIOR_DEVIATIONS))
         self.terms = tuple(Term(e, j) for e in effects for j in range(joints))
-        self.rest = np.concatenate([
+        self.neutral = np.concatenate([
             [p.absent_value if p.neutral is None else p.neutral for p in t.parameters]
             for t in self.terms
         ])  # fmt: skip
-        self.shape = (len(PRIORS), joints)
+        self.shape = (len(PRIOR_DEVIATIONS), joints)
         self.columns = np.zeros(self.shape, dtype=np.int64)
         self.lower, self.upper = np.zeros(self.shape), np.zeros(self.shape)
-        self.nudge = np.zeros(len(PRIORS))
-        self.prior = np.array(list(PRIORS.values()))
+        self.nudge = np.zeros(len(PRIOR_DEVIATIONS))
+        self.prior = np.array(list(PRIOR_DEVIATIONS.values()))
         start = np.cumsum([0, *(len(t.parameters) for t in self.terms)])
         model, dofs = problem.simulator.segments[0].model, problem.simulator.layout.dof_index
         own = {
             ViscousFriction.id: np.reshape(model.dof_damping[dofs], (joints, -1))[:, 0],
             CoulombFriction.id: np.reshape(model.dof_frictionloss[dofs], (joints, -1))[:, 0],
         }
-        for k, (effect, name) in enumerate(PRIORS):
+        for k, (effect, name) in enumerate(PRIOR_DEVIATIONS):
             for j in range(joints):
                 term = Term(effect, j)
                 at = next(i for i, p in enumerate(term.parameters) if p.name == name)
@@ -192,9 +194,9 @@ class Parameters:
         if not np.isfinite(residual).all():
             return _State(theta, residual, -np.inf)
         square = np.mean(residual**2, axis=0) + 0.01 * self.noise**2
-        held_back = float(np.sum((theta / self.prior[:, None]) ** 2))
+        prior_penalty = float(np.sum((theta / self.prior[:, None]) ** 2))
         count = len(residual) / JOINT_FIT.smooth_samples
-        score = -0.5 * (count * float(np.sum(np.log(square))) + held_back)
+        score = -0.5 * (count * float(np.sum(np.log(square))) + prior_penalty)
         return _State(theta, residual, score)
 
     def _residuals(self, tried: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
@@ -210,23 +212,25 @@ class Parameters:
         parts = []
         for row, p in zip(rows, problem.simulator.simulate(rows, values), strict=True):
             error, start = problem.discretization_error.get(int(row)), problem.starts.get(int(row))
-            read = p if error is None else corrected(p, error)
+            read = p if error is None else add_step_error(p, error)
             off = problem.simulator.segments[row].position - read.position
-            off = off if start is None else start.freed(off)
+            off = off if start is None else start.without_initial_error(off)
             parts.append(off * problem.position_weights.get(int(row), 1.0))
         ends = np.cumsum([0, *(len(self.groups[i]) for i, _ in tried)])
         return [np.concatenate(parts[a:b]) for a, b in itertools.pairwise(ends)]
 
     def hypothesis(self, theta: FloatArray) -> Hypothesis:
         """The hypothesis with all terms, from (parameters, joints) scaled parameters."""
-        values = self.rest.copy()
+        values = self.neutral.copy()
         values[self.columns] = theta
         return Hypothesis(self.terms, values)
 
     def value(self, theta: FloatArray, effect: str, joint: int) -> float:
         """The first parameter of an effect at a joint, SI units."""
-        k = next(i for i, (name, _) in enumerate(PRIORS) if name == effect)
-        parameter = next(p for p in Term(effect, joint).parameters if p.name == list(PRIORS)[k][1])
+        k = next(i for i, (name, _) in enumerate(PRIOR_DEVIATIONS) if name == effect)
+        parameter = next(
+            p for p in Term(effect, joint).parameters if p.name == list(PRIOR_DEVIATIONS)[k][1]
+        )
         return float(theta[k, joint] * self.problem.scales.value(parameter, joint))
 
     def slopes(self, group: int, state: _State) -> FloatArray:

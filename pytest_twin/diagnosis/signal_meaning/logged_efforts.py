@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from pytest_twin.diagnosis.signal_meaning.between_fit import BetweenFit
 from pytest_twin.diagnosis.signal_meaning.effort import (
-    Law,
-    Signals,
+    JointLog,
+    LawFit,
+    build_joint_log,
     effort_fact,
-    is_the_command,
-    law,
-    pooled,
-    signals,
+    equals_command,
+    fit_control_law,
+    pool_recordings,
 )
 from pytest_twin.diagnosis.signal_meaning.effort_settings import EFFORTS
 from pytest_twin.diagnosis.signal_meaning.fact import Fact
+from pytest_twin.diagnosis.signal_meaning.interpolation_fit import InterpolationFit
 from pytest_twin.effects.actuation import ActuatorLag, DeadZone
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
@@ -32,7 +32,7 @@ _COMMAND_ITSELF = Fact(
 )
 
 
-def logged_efforts(trials: Sequence[Trial], fitted: BetweenFit) -> dict[str, Fact]:
+def logged_efforts(trials: Sequence[Trial], fitted: InterpolationFit) -> dict[str, Fact]:
     """Joint -> origin of its logged effort.
 
     Args:
@@ -43,31 +43,32 @@ def logged_efforts(trials: Sequence[Trial], fitted: BetweenFit) -> dict[str, Fac
     for column, joint in enumerate(fitted.joints):
         drive = _drive(fitted, column)
         # Interpolation of the commands -> the laws of each recording.
-        demands: dict[CommandBetween, list[Law]] = {}
-        drives: dict[CommandBetween, list[Law]] = {}
+        demands: dict[CommandBetween, list[LawFit]] = {}
+        drives: dict[CommandBetween, list[LawFit]] = {}
         scales, periods = [], []
-        liveliest = sorted(
-            (t for t in trials if _has_efforts(t, joint)), key=lambda t: -_spread(t, joint)
+        largest_first = sorted(
+            (t for t in trials if _has_efforts(t, joint)),
+            key=lambda t: -_effort_deviation(t, joint),
         )
-        if liveliest and all(
-            _repeats_command(t, joint) for t in liveliest[: EFFORTS.most_recordings]
+        if largest_first and all(
+            _repeats_command(t, joint) for t in largest_first[: EFFORTS.most_recordings]
         ):
             found[joint] = _COMMAND_ITSELF
             continue
-        for trial in liveliest[: EFFORTS.most_recordings]:
-            for between in _ways(trial):
-                log = _log(trial, joint, between)
+        for trial in largest_first[: EFFORTS.most_recordings]:
+            for between in _possible_interpolations(trial):
+                log = _build_log(trial, joint, between)
                 if log is not None:
-                    demands.setdefault(between, []).append(law(log))
+                    demands.setdefault(between, []).append(fit_control_law(log))
                     if any(drive):
-                        drives.setdefault(between, []).append(law(log, *drive))
-            scales.append(_spread(trial, joint))
+                        drives.setdefault(between, []).append(fit_control_law(log, *drive))
+            scales.append(_effort_deviation(trial, joint))
             periods.append(float(np.median(np.diff(trial.time))))
         if demands:
             found[joint] = effort_fact(
                 float(np.median(scales)),
-                [pooled(each) for each in demands.values()],
-                [pooled(each) for each in drives.values()],
+                [pool_recordings(each) for each in demands.values()],
+                [pool_recordings(each) for each in drives.values()],
                 float(np.median(periods)),
             )
     return found
@@ -81,11 +82,11 @@ def _repeats_command(trial: Trial, joint: str) -> bool:
     """Whether the logged efforts of an effort drive are its commands."""
     if trial.mode_of(joint) != "effort":
         return False
-    logs = (_log(trial, joint, between) for between in _ways(trial))
-    return any(log is not None and is_the_command(log) for log in logs)
+    logs = (_build_log(trial, joint, between) for between in _possible_interpolations(trial))
+    return any(log is not None and equals_command(log) for log in logs)
 
 
-def _log(trial: Trial, joint: str, between: CommandBetween) -> Signals | None:
+def _build_log(trial: Trial, joint: str, between: CommandBetween) -> JointLog | None:
     """Log of a joint with one interpolation of the commands; None if it has gaps or is short."""
     column = trial.joints.index(joint)
     keep = np.concatenate([[True], np.diff(trial.time) > 0.0])
@@ -101,10 +102,10 @@ def _log(trial: Trial, joint: str, between: CommandBetween) -> Signals | None:
     assert mode is not None
     setpoint = replace(trial, command_between=between).setpoint
     at = trial.command_joints.index(joint)
-    return signals(trial.time[keep], position, velocity, effort, setpoint, at, mode=mode)
+    return build_joint_log(trial.time[keep], position, velocity, effort, setpoint, at, mode=mode)
 
 
-def _drive(fitted: BetweenFit, column: int) -> tuple[float, float]:
+def _drive(fitted: InterpolationFit, column: int) -> tuple[float, float]:
     """Lag in s and dead zone in rad or m of the fitted drive; both 0 if the fit is poor."""
     fit, space = fitted.fit, fitted.space
     left = float(np.sqrt(np.mean(fit.residual[:, column] ** 2)))
@@ -114,11 +115,11 @@ def _drive(fitted: BetweenFit, column: int) -> tuple[float, float]:
     return lag, dead_zone
 
 
-def _ways(trial: Trial) -> tuple[CommandBetween, ...]:
+def _possible_interpolations(trial: Trial) -> tuple[CommandBetween, ...]:
     """Possible interpolations of the commands: the declared one, or all."""
     return COMMAND_BETWEEN if trial.between_source == "assumed" else (trial.command_between,)
 
 
-def _spread(trial: Trial, joint: str) -> float:
+def _effort_deviation(trial: Trial, joint: str) -> float:
     assert trial.effort is not None
     return float(np.nanstd(trial.effort[:, trial.joints.index(joint)]))

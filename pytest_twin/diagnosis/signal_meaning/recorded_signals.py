@@ -11,9 +11,12 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.signal_meaning.between_fit import BetweenFit, fit_between
-from pytest_twin.diagnosis.signal_meaning.command_between import Between
+from pytest_twin.diagnosis.signal_meaning.command_interpolation import CommandInterpolation
 from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
+from pytest_twin.diagnosis.signal_meaning.interpolation_fit import (
+    InterpolationFit,
+    fit_interpolation,
+)
 from pytest_twin.diagnosis.signal_meaning.logged_efforts import logged_efforts
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
 from pytest_twin.diagnosis.signal_meaning.step_times import StepTimes, step_intervals, with_steps_at
@@ -23,7 +26,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
-_NOT_OF_THE_STATE = ("differenced", "filtered", "late")
+_NO_STATE = ("differenced", "filtered", "late")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,20 +41,20 @@ class RecordedSignals:
         steps: times of command steps between two stamps, for each command period.
     """
 
-    between: tuple[Between, ...] = ()
+    between: tuple[CommandInterpolation, ...] = ()
     velocity: Mapping[str, Fact] = field(default_factory=dict)
     effort: Mapping[str, Fact] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
     steps: tuple[StepTimes, ...] = ()
 
-    def applied(self, trials: TrialSet) -> TrialSet:
+    def apply(self, trials: TrialSet) -> TrialSet:
         """The recordings as they are used from here on, with notes for the reader.
 
         They have the interpolation that was found, and their steps where the motion shows them.
-        Velocities that are differenced, filtered or
-        late are left out, and so are efforts that were not measured at the time of their stamps.
+        Velocities that are differenced, filtered or late are left out, and so are efforts that
+        were not measured at the time of their stamps.
         """
-        each = [tuple(map(self._used, role)) for role in (trials.fit, trials.held_out)]
+        each = [tuple(map(self._apply_to_trial, role)) for role in (trials.fit, trials.held_out)]
         kept = [n for n in trials.notes if not (self.between and "assumed: neither" in n)]
         notes = dict.fromkeys([*kept, *self.notes([*trials.fit, *trials.held_out])])
         return replace(trials, fit=each[0], held_out=each[1], notes=tuple(notes))
@@ -117,7 +120,7 @@ class RecordedSignals:
         values = {b.fact.value for b in self.between}
         return next((b for b in COMMAND_BETWEEN if values == {b}), None)
 
-    def _answer(self, trial: Trial) -> Between | None:
+    def _answer(self, trial: Trial) -> CommandInterpolation | None:
         """The answer for the command period of a trial; None without one."""
         period = _period(trial)
         near = [b for b in self.between if _are_alike(b.period, period)]
@@ -134,18 +137,22 @@ class RecordedSignals:
         near = [s for s in self.steps if _are_alike(s.period, _period(trial))]
         return near[0].shares(trial) if near else None
 
-    def doubted(self, trials: Sequence[Trial]) -> Between | None:
+    def undetermined(self, trials: Sequence[Trial]) -> CommandInterpolation | None:
         """The undetermined answer with the longest command period; None without one."""
         asked = (self._answer(t) for t in trials if t.between_source == "assumed")
-        open_ = [b for b in asked if b is not None and len(b.possible) > 1]
-        return max(open_, key=lambda b: b.period, default=None)
+        undetermined = [b for b in asked if b is not None and len(b.possible) > 1]
+        return max(undetermined, key=lambda b: b.period, default=None)
 
-    def decided(self, open_: Between, between: CommandBetween) -> RecordedSignals:
-        """The same with the undetermined answer ``open_`` decided by the number of effects."""
-        words = f"{open_.fact.evidence}; fewer effects explain them if commands are {between}"
+    def with_decision(
+        self, undetermined: CommandInterpolation, between: CommandBetween
+    ) -> RecordedSignals:
+        """The same with an undetermined answer decided by the number of effects."""
+        words = (
+            f"{undetermined.fact.evidence}; fewer effects explain them if commands are {between}"
+        )
         fact = Fact(between, INTERPOLATION.most_by_model, "data", words)
-        known = Between(fact, (between,), open_.period)
-        return replace(self, between=tuple(known if b is open_ else b for b in self.between))
+        known = CommandInterpolation(fact, (between,), undetermined.period)
+        return replace(self, between=tuple(known if b is undetermined else b for b in self.between))
 
     def _between_fact(self, trial: Trial) -> Fact:
         if trial.between_source not in ("assumed", "data"):
@@ -153,7 +160,7 @@ class RecordedSignals:
         answer = self._answer(trial)
         return unknown("not asked") if answer is None else answer.fact
 
-    def _used(self, trial: Trial) -> Trial:
+    def _apply_to_trial(self, trial: Trial) -> Trial:
         shares = self._shares(trial)
         if shares is not None:
             trial = with_steps_at(trial, shares)
@@ -168,16 +175,16 @@ class RecordedSignals:
         return trial
 
 
-def determine_signals(given: ModelSetup, trials: TrialSet) -> RecordedSignals:
+def determine_signals(setup: ModelSetup, trials: TrialSet) -> RecordedSignals:
     """Determine the meaning of the recorded signals.
 
     Args:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         trials: fit and validation recordings.
     """
     everything = [*trials.fit, *trials.held_out]
     velocity = _velocities(everything)
-    trials = RecordedSignals(velocity=velocity).applied(trials)
+    trials = RecordedSignals(velocity=velocity).apply(trials)
     everything = [*trials.fit, *trials.held_out]
     fits = []
     for group in _alike_recordings(everything):
@@ -186,18 +193,18 @@ def determine_signals(given: ModelSetup, trials: TrialSet) -> RecordedSignals:
         may_step = moves_on and any(len(step_intervals(t.command)) for t in group)
         if declared and not may_step and all(t.effort is None for t in group):
             continue
-        ways = (group[0].command_between,) if declared else COMMAND_BETWEEN
+        interpolations = (group[0].command_between,) if declared else COMMAND_BETWEEN
         try:
             # Simulations with extreme parameters may overflow; they are never the best.
             with np.errstate(over="ignore", invalid="ignore"):
-                fits.append((group, fit_between(given, group, ways)))
+                fits.append((group, fit_interpolation(setup, group, interpolations)))
         except TwinError:
             # The diagnosis itself reports the error of these recordings.
             continue
     between = tuple(f.answer for group, f in fits if group[0].between_source == "assumed")
     problems = tuple(f.space.problem for _, f in fits)
     steps = tuple(
-        StepTimes(given, f.space, f.fit, f.joints, f.answer.period)
+        StepTimes(setup, f.space, f.fit, f.joints, f.answer.period)
         for _, f in fits
         if f.answer.assumed == "interpolated"
     )
@@ -205,7 +212,7 @@ def determine_signals(given: ModelSetup, trials: TrialSet) -> RecordedSignals:
 
 
 def _efforts(
-    trials: Sequence[Trial], fits: Sequence[tuple[Sequence[Trial], BetweenFit]]
+    trials: Sequence[Trial], fits: Sequence[tuple[Sequence[Trial], InterpolationFit]]
 ) -> dict[str, Fact]:
     """Joint -> origin of its logged effort, by the fit of the most recordings."""
     if not fits or not any(t.effort is not None for t in trials):
@@ -240,9 +247,9 @@ def _alike_recordings(trials: Sequence[Trial]) -> list[list[Trial]]:
     groups: list[list[Trial]] = []
     for trial in sorted(trials, key=_period):
         for group in groups:
-            if _are_alike(_period(group[0]), _period(trial)) and _declared(group[0]) == _declared(
-                trial
-            ):
+            if _are_alike(_period(group[0]), _period(trial)) and _declared_interpolation(
+                group[0]
+            ) == _declared_interpolation(trial):
                 group.append(trial)
                 break
         else:
@@ -250,7 +257,7 @@ def _alike_recordings(trials: Sequence[Trial]) -> list[list[Trial]]:
     return groups
 
 
-def _declared(trial: Trial) -> CommandBetween | None:
+def _declared_interpolation(trial: Trial) -> CommandBetween | None:
     return None if trial.between_source == "assumed" else trial.command_between
 
 
@@ -264,7 +271,7 @@ def _are_alike(one: float, other: float) -> bool:
 
 
 def _has_no_state(fact: Fact) -> bool:
-    return fact.value in _NOT_OF_THE_STATE
+    return fact.value in _NO_STATE
 
 
 def _has_no_sensor(fact: Fact) -> bool:

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.search_result import build_problem
-from pytest_twin.diagnosis.signal_meaning.joint_fit import JointFit, Parameters
+from pytest_twin.diagnosis.signal_meaning.joint_fit import SmoothParameterFit, SmoothParameters
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION, JOINT_FIT
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.errors import TwinError
 from pytest_twin.trial import Trial
 
-_SPREAD = 1.0 / np.sqrt(12.0)
+_PRIOR_DEVIATION = 1.0 / np.sqrt(12.0)
 """Standard deviation of a time about which nothing is known, in periods."""
-_INSIDE = 0.02
+_MARGIN = 0.02
 """Smallest distance of a step from both stamps, in periods."""
-_AT_ONCE = 1e-6
+_STEP_DURATION = 1e-6
 """Duration of a step, s."""
 
 
@@ -37,7 +37,7 @@ class StepTimes:
     """Fits the times of command steps.
 
     Attributes:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         space, fit: smooth parameters of the joints, fitted to recordings of the same controller.
         joints: names of the joints.
         period: command period of the recordings, s.
@@ -45,9 +45,9 @@ class StepTimes:
             where they cannot be fitted.
     """
 
-    given: ModelSetup
-    space: Parameters
-    fit: JointFit
+    setup: ModelSetup
+    space: SmoothParameters
+    fit: SmoothParameterFit
     joints: tuple[str, ...]
     period: float
     known: dict[tuple[Path, float], FloatArray | None] = field(default_factory=dict)
@@ -60,19 +60,19 @@ class StepTimes:
         """
         key = trial.path, trial.offset
         if key not in self.known:
-            self.known[key] = self._fitted(trial)
+            self.known[key] = self._fit_shares(trial)
         return self.known[key]
 
-    def _fitted(self, trial: Trial) -> FloatArray | None:
+    def _fit_shares(self, trial: Trial) -> FloatArray | None:
         steps = step_intervals(trial.command)
         if not len(steps) or trial.hardest_mode == "effort" or trial.own_commands is not None:
             return None
         trial = replace(trial, command_between="interpolated", velocity=None, effort=None)
-        ends = [np.full(len(steps), share) for share in (_INSIDE, 1.0 - _INSIDE)]
+        ends = [np.full(len(steps), share) for share in (_MARGIN, 1.0 - _MARGIN)]
         both = [with_steps_at(trial, share) for share in ends]
         try:
             prepared, kept = build_problem(
-                self.given, TrialSet(tuple(both), (), ()), [], scales=self.space.problem.scales
+                self.setup, TrialSet(tuple(both), (), ()), [], scales=self.space.problem.scales
             )
         except TwinError:
             # The diagnosis itself reports the error of this recording.
@@ -89,8 +89,8 @@ class StepTimes:
         time = np.concatenate([problem.simulator.segments[s].time for s in early])
         if residuals[0].shape != residuals[1].shape or not np.isfinite(residuals).all():
             return None
-        shares = fitted_shares(residuals[0], residuals[1], time, trial.command_time[steps])
-        return _INSIDE + (1.0 - 2.0 * _INSIDE) * shares
+        shares = fit_step_shares(residuals[0], residuals[1], time, trial.command_time[steps])
+        return _MARGIN + (1.0 - 2.0 * _MARGIN) * shares
 
 
 def step_intervals(command: FloatArray) -> NDArray[np.int64]:
@@ -113,7 +113,7 @@ def _is_jump(command: FloatArray) -> NDArray[np.bool_]:
     return found
 
 
-def fitted_shares(
+def fit_step_shares(
     early: FloatArray, late: FloatArray, time: FloatArray, starts: FloatArray
 ) -> FloatArray:
     """(steps,) times of steps as shares of their periods, 0 to 1.
@@ -141,8 +141,8 @@ def fitted_shares(
         share = float(slope @ target) / square
         left = target - share * slope
         variance = JOINT_FIT.smooth_samples * float(left @ left) / max(len(left) - 1, 1) / square
-        trust = _SPREAD**2 / (_SPREAD**2 + variance)
-        out[i] = np.clip(0.5 + trust * (share - 0.5), 0.0, 1.0)
+        weight_of_data = _PRIOR_DEVIATION**2 / (_PRIOR_DEVIATION**2 + variance)
+        out[i] = np.clip(0.5 + weight_of_data * (share - 0.5), 0.0, 1.0)
     return out
 
 
@@ -157,7 +157,7 @@ def with_steps_at(trial: Trial, shares: FloatArray) -> Trial:
         before, after = trial.command[k : k + 2]
         at = start + share * (end - start)
         moving = before + share * (after - before)
-        times += [at - 0.5 * _AT_ONCE, at + 0.5 * _AT_ONCE]
+        times += [at - 0.5 * _STEP_DURATION, at + 0.5 * _STEP_DURATION]
         rows += [np.where(jumps[k], before, moving), np.where(jumps[k], after, moving)]
     places = np.repeat(steps + 1, 2)
     return replace(

@@ -50,10 +50,14 @@ def velocity_signal(
     """
     if len(time) < RECORDED_VELOCITY.fewest_samples or not np.ptp(position) or not np.ptp(velocity):
         return None
-    return _derived(time, position, velocity) or _independent(time, position, velocity)
+    return _detect_derived_velocity(time, position, velocity) or _detect_own_sensor(
+        time, position, velocity
+    )
 
 
-def _derived(time: FloatArray, position: FloatArray, velocity: FloatArray) -> VelocitySignal | None:
+def _detect_derived_velocity(
+    time: FloatArray, position: FloatArray, velocity: FloatArray
+) -> VelocitySignal | None:
     """A velocity that was computed from the logged positions; None if it was not."""
     period = float(np.median(np.diff(time)))
     slope = np.diff(position) / np.diff(time)
@@ -76,7 +80,9 @@ def _derived(time: FloatArray, position: FloatArray, velocity: FloatArray) -> Ve
     return VelocitySignal("filtered", lag, 0.0, float(-np.log(keep) / (2.0 * np.pi * period)))
 
 
-def _independent(time: FloatArray, position: FloatArray, velocity: FloatArray) -> VelocitySignal:
+def _detect_own_sensor(
+    time: FloatArray, position: FloatArray, velocity: FloatArray
+) -> VelocitySignal:
     """A velocity of an independent sensor, with its age by regression on the acceleration.
 
     The mean velocity over two periods, by Simpson's rule, is compared with the position difference.

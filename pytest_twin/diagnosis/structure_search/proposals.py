@@ -52,15 +52,15 @@ class Proposal:
     Attributes:
         hypothesis: fitted along the measured motion.
         gain: predicted log-likelihood ratio over the incumbent, prices paid.
-        left: (signals,) mean squared residual along the measured motion.
+        mean_square: (signals,) mean squared residual along the measured motion.
     """
 
     hypothesis: Hypothesis
     gain: float
-    left: FloatArray
+    mean_square: FloatArray
 
 
-def proposals(
+def propose_models(
     scorer: Scorer, linearized: LinearizedView, settings: StructureSearchSettings
 ) -> list[Proposal]:
     """Proposals around the incumbent, most promising first.
@@ -73,8 +73,8 @@ def proposals(
     own = linearized.around.hypothesis
     pool: dict[tuple[frozenset[Term], bytes], Hypothesis] = {}
     for hypothesis in itertools.chain(
-        _exchanged(scorer, linearized, settings),
-        _rewritten(scorer, own),
+        _exchange_terms(scorer, linearized, settings),
+        _rewrite(scorer, own),
         effort_sensor_terms(linearized.around),
     ):
         theta = hypothesis.theta
@@ -163,14 +163,14 @@ def best_of_each_size(
     return kept, others
 
 
-def _exchanged(
+def _exchange_terms(
     scorer: Scorer, linearized: LinearizedView, settings: StructureSearchSettings
 ) -> Iterable[Hypothesis]:
     """The incumbent with terms removed and others added."""
     own, view = linearized.around.hypothesis, linearized.view
     removed_sets = removals(own)
     reduced = [own.without(*removed) for removed in removed_sets]
-    lefts = _residuals(linearized, removed_sets, reduced)
+    residuals = _residuals(linearized, removed_sets, reduced)
     candidate_sensitivities = linearized.candidate_sensitivities
     elastic = candidate_sensitivities.elastic_transmissions
     rigid = {r.term for r in candidate_sensitivities.responses} - elastic
@@ -181,7 +181,7 @@ def _exchanged(
             lambda before, after: bool((after < before).any()), excluded=elastic,
         )  # fmt: skip
 
-    for removed, rest, left in zip(removed_sets, reduced, lefts, strict=True):
+    for removed, rest, left in zip(removed_sets, reduced, residuals, strict=True):
         if removed:
             yield rest
         slope = view.jacobian[:, :, own.parameters_without(*removed)]
@@ -233,7 +233,7 @@ def _residuals(
     return [out[k] for k in range(len(reduced))]
 
 
-def _rewritten(scorer: Scorer, own: Hypothesis) -> list[Hypothesis]:
+def _rewrite(scorer: Scorer, own: Hypothesis) -> list[Hypothesis]:
     """The same physics in other words."""
     problem = scorer.problem
     return [
@@ -254,7 +254,9 @@ def effort_sensor_terms(best: ScoredModel) -> list[Hypothesis]:
     """
     problem = best.problem
     joints = len(problem.joints)
-    (out,) = np.nonzero((best.left > VERDICT.identifiable**2 * problem.signal_floor**2)[joints:])
+    (out,) = np.nonzero(
+        (best.max_mean_square > VERDICT.identifiable**2 * problem.signal_floor**2)[joints:]
+    )
     return [
         best.hypothesis.with_term(t, starts_in_first_form(t)[0])
         for t in candidates(problem)

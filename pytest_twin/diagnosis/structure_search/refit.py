@@ -14,18 +14,18 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
-from pytest_twin.diagnosis.fit import Fitted, fit
+from pytest_twin.diagnosis.fit import FittedModel, fit
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
-from pytest_twin.diagnosis.structure_search.score import Model, Scorer
+from pytest_twin.diagnosis.structure_search.score import Scorer, SimulatedModel
 
 _ITERATIONS = 3
 """Iterations of a fit in the linearized motion."""
 
 
-def corrected_fits(
-    scorer: Scorer, linearized: LinearizedView, models: Sequence[Model], corrections: int
-) -> list[Model]:
+def fit_with_correction(
+    scorer: Scorer, linearized: LinearizedView, models: Sequence[SimulatedModel], corrections: int
+) -> list[SimulatedModel]:
     """Models fitted in the linearized motion; a step is kept if its simulation is better.
 
     Args:
@@ -54,35 +54,37 @@ def corrected_fits(
             targets,
         )
         tried = scorer.simulate([p.hypothesis for p in fitted], models[0])
-        still = []
+        unconverged = []
         for i, model in zip(active, tried, strict=True):
             before, after = (_misfit(scorer.problem, m) for m in (best[i], model))
             if after < before:
                 best[i] = model
                 if after < before - 0.02:
-                    still.append(i)
-        active = still
+                    unconverged.append(i)
+        active = unconverged
     return best
 
 
-def fit_by_simulation(scorer: Scorer, model: Model, iterations: int) -> tuple[Model, FloatArray]:
+def fit_by_simulation(
+    scorer: Scorer, model: SimulatedModel, iterations: int
+) -> tuple[SimulatedModel, FloatArray]:
     """A model fitted by simulation, and its (samples, signals, parameters) Jacobian."""
-    here = scorer.at(model.hypothesis)
+    here = scorer.simulate_with_own_correction(model.hypothesis)
     problem = here.problem
     weights = problem.weights(np.mean(here.residual**2, axis=0))
     (found,) = fit(problem, [model.hypothesis], weights, problem.fit, iterations=iterations)
     return scorer.simulate([found.hypothesis], here)[0], found.jacobian
 
 
-def as_fitted(problem: Problem, model: Model, jacobian: FloatArray) -> Fitted:
-    """A model with its Jacobian as a :class:`Fitted`, for intervals and reports."""
+def to_fitted_model(problem: Problem, model: SimulatedModel, jacobian: FloatArray) -> FittedModel:
+    """A model with its Jacobian as a :class:`FittedModel`, for intervals and reports."""
     weights = problem.weights(np.mean(model.residual**2, axis=0))
-    return Fitted(
+    return FittedModel(
         model.hypothesis, model.residual, jacobian, float(np.mean((model.residual * weights) ** 2))
     )
 
 
-def _misfit(problem: Problem, model: Model) -> float:
+def _misfit(problem: Problem, model: SimulatedModel) -> float:
     """Sum over signals of the log mean square on the fit recordings, at least the noise floor."""
     mean_square = np.nan_to_num(np.mean(model.residual**2, axis=0), nan=np.inf)
     value = np.log(np.maximum(mean_square, problem.signal_floor**2)).sum()

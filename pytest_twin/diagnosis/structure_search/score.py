@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.problem import Problem
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class SimulatedModel:
     """A hypothesis and its simulated residuals.
 
     Attributes:
@@ -59,29 +59,33 @@ class Scorer:
         self.problem = problem
         self.penalty_per_effect = effect_penalty(candidates)
         self.earns, self.share = earns, share
-        self.nominal = self.at(EMPTY)
+        self.nominal = self.simulate_with_own_correction(EMPTY)
 
-    def simulate(self, hypotheses: Sequence[Hypothesis], beside: Model) -> list[Model]:
+    def simulate(
+        self, hypotheses: Sequence[Hypothesis], corrected_as: SimulatedModel
+    ) -> list[SimulatedModel]:
         """Simulate hypotheses on all recordings, without fitting them.
 
         Args:
             hypotheses: the hypotheses.
-            beside: the model whose corrections their predictions have.
+            corrected_as: the model whose corrections their predictions have.
         """
-        return self._simulated(beside.problem, hypotheses)
+        return self._simulate(corrected_as.problem, hypotheses)
 
     @staticmethod
-    def _simulated(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Model]:
-        everywhere = problem.everywhere
+    def _simulate(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[SimulatedModel]:
+        everywhere = problem.all_segments
         residuals = problem.residuals(hypotheses, everywhere)
         lengths = np.array(problem.lengths(everywhere))
         fitted = np.repeat(np.isin(everywhere, problem.fit), lengths)
         return [
-            Model(h, r[fitted], r[~fitted], problem)
+            SimulatedModel(h, r[fitted], r[~fitted], problem)
             for h, r in zip(hypotheses, residuals, strict=True)
         ]
 
-    def misfits_where(self, hypotheses: Sequence[Hypothesis], model: Model) -> list[float]:
+    def misfits_on_worst_recording(
+        self, hypotheses: Sequence[Hypothesis], model: SimulatedModel
+    ) -> list[float]:
         """Misfit of each hypothesis on the fit recording that ``model`` fits worst.
 
         The misfit is the sum over signals of log(mean squared residual), where no mean square is
@@ -95,7 +99,7 @@ class Scorer:
         out = [np.log(np.maximum(np.mean(r**2, axis=0), floor**2)).sum() for r in found]
         return [float(x) if np.isfinite(x) else np.inf for x in out]
 
-    def gain(self, model: Model, over: Model) -> float:
+    def gain(self, model: SimulatedModel, over: SimulatedModel) -> float:
         """Log-likelihood ratio of ``model`` to ``over``, minus the penalties of its size.
 
         Both use the effective samples of the better model, because an unexplained disturbance
@@ -111,12 +115,14 @@ class Scorer:
         better = min(model, over, key=self._misfit)
         count = effective_samples(better.residual, self.problem.lengths(self.problem.fit))
         ratio = float(self.gain_by_signal(model, over).sum())
-        ratio -= parameter_penalty(count) * (model.hypothesis.free - over.hypothesis.free)
+        ratio -= parameter_penalty(count) * (
+            model.hypothesis.free_count - over.hypothesis.free_count
+        )
         return ratio - self.penalty_per_effect * (
             len(model.hypothesis.terms) - len(over.hypothesis.terms)
         )
 
-    def is_better(self, model: Model, than: Model) -> bool:
+    def is_better(self, model: SimulatedModel, than: SimulatedModel) -> bool:
         """Whether ``model`` replaces ``than``: the acceptance test.
 
         A model with more effects or parameters needs a penalized log-likelihood ratio of at least
@@ -131,10 +137,10 @@ class Scorer:
         if size == other:
             return self.gain(model, than) > 1.0
         if size < other:
-            return np.isfinite(self.gain(model, than)) and not self._earns(than, model)
-        return self._earns(model, than)
+            return np.isfinite(self.gain(model, than)) and not self._gains_enough(than, model)
+        return self._gains_enough(model, than)
 
-    def _earns(self, larger: Model, smaller: Model) -> bool:
+    def _gains_enough(self, larger: SimulatedModel, smaller: SimulatedModel) -> bool:
         if self.gain(larger, smaller) < self.earns:
             return False
         if len(larger.hypothesis.terms) == len(smaller.hypothesis.terms):
@@ -145,7 +151,7 @@ class Scorer:
         worth = np.maximum(self.share * whole, self.earns)
         return bool((added >= worth).any() or added.sum() >= self.share * whole.sum())
 
-    def gain_by_signal(self, model: Model, over: Model) -> FloatArray:
+    def gain_by_signal(self, model: SimulatedModel, over: SimulatedModel) -> FloatArray:
         """(signals,) log-likelihood ratio of ``model`` to ``over``, without penalties.
 
         Infinite if only ``over`` diverges.
@@ -164,18 +170,18 @@ class Scorer:
                 out += 0.5 * count * np.subtract(*map(np.log, known))
         return np.nan_to_num(out, nan=-np.inf, posinf=np.inf, neginf=-np.inf)
 
-    def _misfit(self, model: Model) -> float:
+    def _misfit(self, model: SimulatedModel) -> float:
         """Sum over signals of the logarithm of the mean square, which is at least that of noise."""
         return float(np.log(np.maximum(model.mean_square, self.problem.signal_floor**2)).sum())
 
-    def exceeds_floor(self, model: Model, floors: float) -> np.ndarray:
+    def exceeds_floor(self, model: SimulatedModel, floors: float) -> np.ndarray:
         """(signals,) whether the RMS residual exceeds ``floors`` noise floors."""
         return np.asarray(model.mean_square > (floors * self.problem.signal_floor) ** 2)
 
-    def at(self, hypothesis: Hypothesis) -> Model:
+    def simulate_with_own_correction(self, hypothesis: Hypothesis) -> SimulatedModel:
         """Simulate a hypothesis with the discretization error measured at its parameters."""
-        return self._simulated(self.problem.at(hypothesis), [hypothesis])[0]
+        return self._simulate(self.problem.at(hypothesis), [hypothesis])[0]
 
 
-def _size(model: Model) -> tuple[int, int]:
-    return len(model.hypothesis.terms), model.hypothesis.free
+def _size(model: SimulatedModel) -> tuple[int, int]:
+    return len(model.hypothesis.terms), model.hypothesis.free_count

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.fit import fit
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.cost_screen import CostScreen
 from pytest_twin.diagnosis.search.drive_limits import refine_limit_sizes
 from pytest_twin.diagnosis.search.proposed_starts import starts_at
-from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
-from pytest_twin.diagnosis.structure_search.score import Model, Scorer
+from pytest_twin.diagnosis.structure_search.score import Scorer, SimulatedModel
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 _SIMULATED = 4
@@ -28,7 +28,7 @@ _ITERATIONS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class StartPlace:
     """What a start is an alternative to: starts in the same place differ in their sizes only.
 
     Attributes:
@@ -42,8 +42,12 @@ class Place:
     replaced: tuple[Term, ...]
 
 
-def simulated_proposals(
-    scorer: Scorer, incumbent: Model, best: Model, trial: TrialSimulation, terms: Sequence[Term]
+def propose_by_simulation(
+    scorer: Scorer,
+    incumbent: SimulatedModel,
+    best: SimulatedModel,
+    screen: CostScreen,
+    terms: Sequence[Term],
 ) -> list[Hypothesis]:
     """The starts of effects with the smallest misfit, each refined.
 
@@ -56,39 +60,41 @@ def simulated_proposals(
         incumbent: the model that may be replaced.
         best: the best model of this step; effects propose starts at joints that it leaves
             unexplained.
-        trial: simulates on a part of the recordings.
+        screen: simulates on a part of the recordings.
         terms: candidates of the problem.
     """
     own = incumbent.hypothesis
-    found = dict[Place, list[Hypothesis]]()
+    found = dict[StartPlace, list[Hypothesis]]()
     unexplained = scorer.exceeds_floor(best, 2.0 * VERDICT.identifiable)
     for place, hypothesis in _starts(scorer.problem, own, terms, unexplained):
         found.setdefault(place, []).append(hypothesis)
     every = [h for sizes in found.values() for h in sizes]
     if not every:
         return []
-    bare, *misfits = scorer.misfits_where([own, *every], best)
+    bare, *misfits = scorer.misfits_on_worst_recording([own, *every], best)
     misfit_of = iter(misfits)
     nearest = {
         place: min(((next(misfit_of), h) for h in sizes), key=lambda each: each[0])
         for place, sizes in found.items()
     }
-    together = _at_all_joints(own, {p: h for p, (m, h) in nearest.items() if m < bare})
+    at_all_joints = _at_all_joints(own, {p: h for p, (m, h) in nearest.items() if m < bare})
     ranked = sorted(
         [
-            *zip(scorer.misfits_where(together, best), together, strict=True),
+            *zip(
+                scorer.misfits_on_worst_recording(at_all_joints, best), at_all_joints, strict=True
+            ),
             *nearest.values(),
         ],
         key=lambda each: each[0],
     )
     chosen = [(m, h) for m, h in ranked[:_SIMULATED] if np.isfinite(m)]
-    refined = [r for m, h in chosen if m < bare for r in _refined(trial, own, h)]
+    refined = [r for m, h in chosen if m < bare for r in _refine(screen, own, h)]
     return [*(h for _, h in chosen), *refined]
 
 
 def _starts(
     problem: Problem, own: Hypothesis, terms: Sequence[Term], unexplained: NDArray[np.bool_]
-) -> Iterator[tuple[Place, Hypothesis]]:
+) -> Iterator[tuple[StartPlace, Hypothesis]]:
     """Each start at an unexplained joint, beside the effects of the fit and instead of them."""
     for term in dict.fromkeys((*own.terms, *terms)):
         if term.joint < 0 or not unexplained[term.joint]:
@@ -105,16 +111,16 @@ def _starts(
             if term in own.terms:
                 theta = own.theta.copy()
                 theta[own.slice_of(term)] = start.parameters
-                yield Place(term, names, ()), own.with_theta(theta).with_terms(beside)
+                yield StartPlace(term, names, ()), own.with_theta(theta).with_terms(beside)
                 continue
             of_joint = tuple(t for t in own.terms if t.joint == term.joint)
             for replaced in ((), of_joint) if of_joint else ((),):
                 rest = own.without(*replaced)
                 added = rest.with_terms({**beside, term: start.parameters})
-                yield Place(term, names, replaced), added
+                yield StartPlace(term, names, replaced), added
 
 
-def _at_all_joints(own: Hypothesis, nearest: dict[Place, Hypothesis]) -> list[Hypothesis]:
+def _at_all_joints(own: Hypothesis, nearest: dict[StartPlace, Hypothesis]) -> list[Hypothesis]:
     """For each effect that is added at several joints: the hypothesis with it at all of them."""
     groups = dict[tuple[str, tuple[str, ...]], list[Hypothesis]]()
     for place, hypothesis in nearest.items():
@@ -132,14 +138,14 @@ def _at_all_joints(own: Hypothesis, nearest: dict[Place, Hypothesis]) -> list[Hy
     return out
 
 
-def _refined(trial: TrialSimulation, own: Hypothesis, start: Hypothesis) -> list[Hypothesis]:
+def _refine(screen: CostScreen, own: Hypothesis, start: Hypothesis) -> list[Hypothesis]:
     """A start with better parameters: the size of a limit, or two effects that cancel.
 
     The minimum of a limit may be narrow and anywhere up to its bound.
     """
     last = start.terms[-1]
     if last.law.is_limit:
-        return [h for h in refine_limit_sizes(trial, [start]) if h is not start]
+        return [h for h in refine_limit_sizes(screen, [start]) if h is not start]
     changed = any(
         not np.array_equal(own.theta[own.slice_of(t)], start.theta[start.slice_of(t)])
         for t in own.terms
@@ -147,5 +153,5 @@ def _refined(trial: TrialSimulation, own: Hypothesis, start: Hypothesis) -> list
     )
     if not changed:
         return []
-    found = fit(trial.problem, [start], trial.weights, trial.segments, iterations=_ITERATIONS)
+    found = fit(screen.problem, [start], screen.weights, screen.segments, iterations=_ITERATIONS)
     return [f.hypothesis for f in found]

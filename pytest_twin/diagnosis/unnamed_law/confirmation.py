@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.search_result import (
     joint_errors,
     residuals_everywhere,
 )
-from pytest_twin.diagnosis.unexplained import unexplained
+from pytest_twin.diagnosis.unexplained import locate_unexplained
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, fit_free_laws
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
@@ -53,24 +53,28 @@ class ConfirmedLaws:
         return max(gains, default=None)
 
 
-def fit_laws_to_residual(given: ModelSetup, found: SearchResult, near: float | None) -> FreeLaws:
+def fit_laws_to_residual(
+    setup: ModelSetup, found: SearchResult, location_window: float | None
+) -> FreeLaws:
     """Free laws for the residual that a search leaves unexplained.
 
     Args:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         found: the result with its final parameters; all of its recordings may be used.
-        near: length in s of the windows in which the residual is located; None for the segments of
-            the problem.
+        location_window: length in s of the windows in which the residual is located; None for the
+            segments of the problem.
     """
-    hypothesis = found.explained.hypothesis
+    hypothesis = found.explanation.hypothesis
     if found.verdict not in ("improved", "unexplained"):
         return FreeLaws((), hypothesis, ())
     prepared, trials = found.prepared, found.trials
     if not all(s.starts_in_motion for s in prepared.problem.simulator.segments):
         # In short windows the measured motion and the simulated one stay close.
         scales = prepared.problem.scales
-        prepared, trials = build_problem(given, trials, [], window=near or WINDOW, scales=scales)
-    left = unexplained(found, prepared, trials)
+        prepared, trials = build_problem(
+            setup, trials, [], window=location_window or WINDOW, scales=scales
+        )
+    left = locate_unexplained(found, prepared, trials)
     where = {joint: item.where for joint, item in left.items()}
     return fit_free_laws(prepared, hypothesis, where, prepared.problem.fit)
 
@@ -87,7 +91,7 @@ def confirm_on_test(
         searched_all: whether the search over the catalogue was completed; otherwise confidences are
             at most 50 %.
     """
-    problem, named = tested.prepared.problem, tested.explained.hypothesis
+    problem, named = tested.prepared.problem, tested.explanation.hypothesis
     laws = found.laws if tested.verdict in ("improved", "unexplained") else ()
     column = {fitted.joints.index(j): k for k, j in enumerate(problem.joints)}
     kept, notes = [], list(found.notes)
@@ -150,7 +154,7 @@ def _with_laws(named: Hypothesis, laws: Hypothesis, terms: Mapping[Term, Term]) 
 
 def _squared(problem: Problem, residual: FloatArray) -> float:
     """Sum of squared errors of the test recordings, in noise floors."""
-    return float(np.sum((residual[problem.in_test] / problem.signal_floor) ** 2))
+    return float(np.sum((residual[problem.is_in_test] / problem.signal_floor) ** 2))
 
 
 def _gain(without: float, with_it: float) -> float:

@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.findings import joint_type, joint_unit
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.unnamed_law.covariates import Covariate
 from pytest_twin.diagnosis.unnamed_law.law import AlternativeVariable, FreeLaw
@@ -57,7 +57,7 @@ class FreeLaws:
 
 
 def fit_free_laws(
-    prepared: Prepared,
+    prepared: PreparedProblem,
     hypothesis: Hypothesis,
     unexplained_at: Mapping[str, TimeAndRegime],
     segments: NDArray[np.int64],
@@ -135,7 +135,7 @@ def _fit_at_joint(
     if not ranking:
         return "nothing that a force may depend on varies in the recordings"
     chosen = add_second_table(data, ranking)
-    share, clear = _removed(chosen.regression.square, chosen.errors)
+    share, clear = _removed_share(chosen.regression.square, chosen.errors)
     if share < FREE_LAWS.removes or not clear:
         return (
             "over no variable does a force from some recordings explain the others: the best, "
@@ -146,7 +146,7 @@ def _fit_at_joint(
     after = fit_tables(problem, hypothesis, chosen, data)
     if after is None:
         return "the simulation diverges with it"
-    share, clear = _removed(after.before, after.errors)
+    share, clear = _removed_share(after.before, after.errors)
     if share < FREE_LAWS.removes or not clear:
         return (
             f"simulated, {_describe_tables(chosen.tables)} removes {100 * max(share, 0.0):.0f} % "
@@ -156,7 +156,7 @@ def _fit_at_joint(
     return chosen, after, ranking
 
 
-def _removed(before: FloatArray, errors: FloatArray) -> tuple[float, bool]:
+def _removed_share(before: FloatArray, errors: FloatArray) -> tuple[float, bool]:
     """Removed share of the (recordings,) squared errors, and whether it exceeds one standard error
     of cross-validation.
     """
@@ -184,8 +184,8 @@ def _laws(
     column = problem.joints.index(joint)
     count = len(chosen.tables)
     half_width = _half_width(after)
-    share, _ = _removed(after.before, after.errors)
-    shares = _shares(ranking)
+    share, _ = _removed_share(after.before, after.errors)
+    shares = _posterior_shares(ranking)
     parts = zip(
         chosen.tables, np.split(after.coefficients, count), np.split(half_width, count),
         strict=True,
@@ -241,7 +241,7 @@ def _half_width(after: SimulatedTables) -> FloatArray:
     return half
 
 
-def _shares(ranking: Sequence[TableFit]) -> list[tuple[TableFit, float]]:
+def _posterior_shares(ranking: Sequence[TableFit]) -> list[tuple[TableFit, float]]:
     """Single tables with their shares, which sum to 1.
 
     The weight of a table is the p-value of a paired t-test between its errors on left-out

@@ -89,14 +89,14 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
         "alternatives": [
             {
                 "effect": UnnamedLaw.id, "joint": law.joint, "confidence": round(r.confidence, 4),
-                "variable": r.variable, "acts": _acts(r.is_friction),
+                "variable": r.variable, "acts": _describe_action(r.is_friction),
             }
             for r in law.alternatives
         ],
         "next_test": _next_test(law),
         "law": {
             "words": law.words,
-            "acts": _acts(curve.is_friction),
+            "acts": _describe_action(curve.is_friction),
             "variable": curve.variable.name,
             "unit": unit,
             "force_unit": force_unit,
@@ -115,7 +115,7 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _acts(is_friction: bool) -> str:
+def _describe_action(is_friction: bool) -> str:
     return "against motion" if is_friction else "as a force"
 
 

@@ -53,7 +53,7 @@ class Regression:
         if left_out is not None:
             gram, moment = gram - self.gram[left_out], moment - self.moment[left_out]
             normal = normal - self.gram[left_out]
-        return _bounded(normal, moment, self.lower)
+        return _solve_bounded(normal, moment, self.lower)
 
     def normal(self, strength: float) -> FloatArray:
         """(p, p) matrix of the penalized normal equations of all recordings."""
@@ -80,7 +80,7 @@ class Regression:
         return np.array([self.errors(self.fitted(strength, r), r) for r in each])
 
 
-def _bounded(normal: FloatArray, moment: FloatArray, lower: FloatArray) -> FloatArray:
+def _solve_bounded(normal: FloatArray, moment: FloatArray, lower: FloatArray) -> FloatArray:
     """Solution of normal equations with lower bounds, by an active-set method."""
     found = np.where(np.isfinite(lower), lower, 0.0)
     free = np.ones(len(lower), dtype=bool)

@@ -124,8 +124,8 @@ def matching_effect(curve: Curve, *, turns: bool) -> str | None:
         curve: the table.
         turns: whether the joint is a hinge, so that a periodic curve may come from gear or motor.
     """
-    for effect, columns in _templates(curve).items():
-        if _share(curve, columns) >= FREE_LAWS.resembles:
+    for effect, columns in _basis_of_effects(curve).items():
+        if _reproduced_share(curve, columns) >= FREE_LAWS.resembles:
             return effect
     if turns and curve.variable is POSITION:
         span = curve.knots[-1] - curve.knots[0]
@@ -136,7 +136,7 @@ def matching_effect(curve: Curve, *, turns: bool) -> str | None:
             wave = [np.sin(k * curve.knots), np.cos(k * curve.knots)]
             if curve.is_friction:
                 wave.append(np.ones_like(curve.knots))
-            if _share(curve, np.stack(wave, axis=1)) >= FREE_LAWS.resembles:
+            if _reproduced_share(curve, np.stack(wave, axis=1)) >= FREE_LAWS.resembles:
                 return (
                     friction.PositionDependentFriction.id
                     if curve.is_friction
@@ -145,7 +145,7 @@ def matching_effect(curve: Curve, *, turns: bool) -> str | None:
     return None
 
 
-def _templates(curve: Curve) -> Mapping[str, FloatArray]:
+def _basis_of_effects(curve: Curve) -> Mapping[str, FloatArray]:
     """Effect -> (knots, parameters) basis of the curves that it can have."""
     x = curve.knots
     one = np.ones_like(x)
@@ -174,7 +174,7 @@ def _templates(curve: Curve) -> Mapping[str, FloatArray]:
     return {effect: np.stack(columns(), axis=1) for effect, columns in found.items()}
 
 
-def _share(curve: Curve, columns: FloatArray) -> float:
+def _reproduced_share(curve: Curve, columns: FloatArray) -> float:
     """Share of the curve's mean square, weighted by occupancy, that a basis reproduces."""
     root = np.sqrt(curve.occupancy)
     target = root * curve.values

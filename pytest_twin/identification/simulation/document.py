@@ -132,7 +132,7 @@ def _covariance(
     its value, so the covariance of the others is the one at this value (conditional covariance).
     Otherwise they would vary as if it followed them.
     """
-    joint = result.spread.joint[np.ix_(kept, kept)]
+    joint = result.spread.conservative_covariance[np.ix_(kept, kept)]
     (free,) = np.nonzero(determined)
     (fixed,) = np.nonzero(~determined & np.isfinite(np.diag(joint)))
     across = joint[np.ix_(free, fixed)]

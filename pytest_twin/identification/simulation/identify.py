@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import Fitted
+from pytest_twin.diagnosis.fit import FittedModel
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import Spread, parameter_spread
+from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.patched.model import Patched
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.patched.model import PatchedModel
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search_result import build_problem, joint_errors, residuals_everywhere
 from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
@@ -57,10 +57,10 @@ class SimulationResult:
         notes: one line each.
     """
 
-    prepared: Prepared
+    prepared: PreparedProblem
     hypothesis: Hypothesis
     stage_of: dict[Term, StageName]
-    spread: Spread
+    spread: ParameterUncertainty
     stages: tuple[Stage, ...]
     undetermined: dict[Term, StageName]
     errors: dict[str, JointError]
@@ -73,7 +73,7 @@ def identify_simulation(
     realization: Realization,
     trials: TrialSet,
     *,
-    inherited: Patched | None = None,
+    inherited: PatchedModel | None = None,
     threads: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
     plan: StagePlan = ALL_STAGES,
@@ -93,12 +93,12 @@ def identify_simulation(
         SimulationError: the model diverges on every recording.
     """
     notes: list[str] = []
-    given = ModelSetup.of(realization, inherited, threads)
+    setup = ModelSetup.of(realization, inherited, threads)
     fit_alone = replace(trials, held_out=())
     with np.errstate(over="ignore", invalid="ignore"):
-        signals = determine_signals(given, fit_alone)
-        used = signals.applied(trials)
-        prepared, used = build_problem(given, used, notes)
+        signals = determine_signals(setup, fit_alone)
+        used = signals.apply(trials)
+        prepared, used = build_problem(setup, used, notes)
         problem = prepared.problem
         modes = [
             _KNOWN if joint in plan.known_drives else problem.simulator.segments[0].mode_of(j)
@@ -107,13 +107,13 @@ def identify_simulation(
         first = first_values(problem)
         weights = _segment_weights(problem, start(_drives(modes), problem.scales, first))
         weighted = replace(problem, position_weights=weights)
-        staged = StagedFit(given, used, replace(prepared, problem=weighted), modes, first, plan)
+        staged = StagedFit(setup, used, replace(prepared, problem=weighted), modes, first, plan)
         staged.run(progress)
         found, stage_of = staged.found, staged.stage_of
         undetermined = undetermined_terms(weighted, found, modes, plan.order)
         stages = [_as_the_model_says(one, undetermined) for one in staged.stages.values()]
         slopes = with_derivatives(weighted, found)
-        spread = parameter_spread(weighted.at(found), slopes)
+        spread = parameter_uncertainty(weighted.at(found), slopes)
         stages = [_with_data(one, weighted, slopes, stage_of, used) for one in stages]
         # The errors that are reported count every recording alike.
         before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
@@ -138,7 +138,7 @@ def _as_the_model_says(stage: Stage, undetermined: Mapping[Term, StageName]) -> 
 def _with_data(
     stage: Stage,
     problem: Problem,
-    slopes: Fitted,
+    slopes: FittedModel,
     stage_of: Mapping[Term, StageName],
     trials: TrialSet,
 ) -> Stage:
@@ -168,12 +168,13 @@ def _segment_weights(problem: Problem, hypothesis: Hypothesis) -> dict[int, Floa
     count = len(problem.joints)
     sizes = np.array([
         np.sqrt(np.mean(problem.residuals([hypothesis], np.array([s]))[0][:, :count] ** 2, axis=0))
-        for s in problem.everywhere
+        for s in problem.all_segments
     ])  # fmt: skip
     sizes = np.where(np.isfinite(sizes), sizes, np.inf)
     usual = np.median(sizes[problem.fit], axis=0)
     weights = np.minimum(1.0, usual / np.maximum(sizes, 1e-12))
     ones = np.ones(count)
     return {
-        int(s): problem.position_weights.get(int(s), ones) * weights[s] for s in problem.everywhere
+        int(s): problem.position_weights.get(int(s), ones) * weights[s]
+        for s in problem.all_segments
     }

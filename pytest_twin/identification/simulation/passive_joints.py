@@ -55,7 +55,7 @@ def impossible(problem: Problem, hypothesis: Hypothesis) -> dict[Term, str]:
         for one in _back_emfs(problem, hypothesis)
         if one.exceeds
     }
-    return {**found, **physical_totals.impossible(problem, hypothesis)}
+    return {**found, **physical_totals.impossible_effects(problem, hypothesis)}
 
 
 def has_excessive_back_emf(problem: Problem, hypothesis: Hypothesis) -> bool:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import Fitted, finite_differences, fit
+from pytest_twin.diagnosis.fit import FittedModel, finite_differences, fit
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.physical_totals import at_zero
+from pytest_twin.diagnosis.physical_totals import without_negative_totals
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.identification.paired_test import compare_paired
 from pytest_twin.identification.simulation.passive_joints import (
@@ -88,7 +88,7 @@ def fit_to_convergence(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
 
 def _fit(
     problem: Problem, starts: Sequence[Hypothesis], weights: FloatArray, iterations: int
-) -> list[Fitted]:
+) -> list[FittedModel]:
     """Fit, and fit again with the largest back-EMF where it exceeds the damping of its joint.
 
     In the second fit the back-EMF follows the damping: a bound that stays while the damping is
@@ -108,7 +108,7 @@ def _fit(
 
 def with_possible_totals(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
     """Set negative totals of model and correction to zero, because no joint drives itself."""
-    return hypothesis.with_theta(at_zero(problem, hypothesis))
+    return hypothesis.with_theta(without_negative_totals(problem, hypothesis))
 
 
 def add_effects(
@@ -156,7 +156,7 @@ def take_better_terms(problem: Problem, before: Hypothesis, after: Hypothesis) -
     together.
     """
     errors = [_in_floors(problem, h) for h in (before, after)]
-    lengths = problem.lengths(problem.tested)
+    lengths = problem.lengths(problem.tested_segments)
     whole = compare_paired(errors[0], errors[1], lengths).is_significant
     chosen: dict[Term, FloatArray] = {}
     for joint in range(-1, len(problem.joints)):
@@ -169,7 +169,7 @@ def take_better_terms(problem: Problem, before: Hypothesis, after: Hypothesis) -
     return EMPTY.with_terms(chosen)
 
 
-def with_derivatives(problem: Problem, hypothesis: Hypothesis) -> Fitted:
+def with_derivatives(problem: Problem, hypothesis: Hypothesis) -> FittedModel:
     """Compute the derivatives of a prediction, without changing the hypothesis."""
     problem = problem.at(hypothesis)
     weights = _weights(problem, [hypothesis])
@@ -187,13 +187,13 @@ def _in_floors(problem: Problem, hypothesis: Hypothesis) -> FloatArray:
 
     They are corrected for the discretization error at the parameters of the hypothesis.
     """
-    residual = problem.at(hypothesis).residuals([hypothesis], problem.tested)[0]
+    residual = problem.at(hypothesis).residuals([hypothesis], problem.tested_segments)[0]
     return np.asarray(residual[:, : len(problem.joints)] / problem.floor)
 
 
 def _try_one_step(
     problem: Problem, base: Hypothesis, starts: Mapping[str, Sequence[Hypothesis]]
-) -> dict[str, Fitted]:
+) -> dict[str, FittedModel]:
     """Effect -> the best fit after one step from its starts; only effects that reduce the error.
 
     Where a start has the values of the base, the derivatives by them are those at the base.

@@ -9,10 +9,10 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.diagnosis.intervals import parameter_spread
+from pytest_twin.diagnosis.intervals import parameter_uncertainty
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect
-from pytest_twin.diagnosis.prepare import Prepared
+from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
@@ -42,7 +42,7 @@ class StagedFit:
     """Effects that are fitted stage by stage; a stage that is accepted is frozen.
 
     Attributes:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         trials: recordings to fit and held-out ones.
         prepared: problem of the nominal model.
         modes: (joints,) command mode of each joint's drive.
@@ -53,9 +53,9 @@ class StagedFit:
         stages: name -> stage.
     """
 
-    given: ModelSetup
+    setup: ModelSetup
     trials: TrialSet
-    prepared: Prepared
+    prepared: PreparedProblem
     modes: Sequence[str]
     first: FloatArray
     plan: StagePlan = ALL_STAGES
@@ -102,10 +102,10 @@ class StagedFit:
 
     def _stage(self, name: StageName, frozen: Hypothesis) -> tuple[Stage, Hypothesis]:
         """Fit one stage with the frozen terms of other stages; return its accepted terms."""
-        outside_mjcf = (*self.given.outside_mjcf, *applied_effects(self._problem, frozen))
+        outside_mjcf = (*self.setup.outside_mjcf, *applied_effects(self._problem, frozen))
         problem = (
-            replace(self.given, outside_mjcf=outside_mjcf)
-            .prepared(
+            replace(self.setup, outside_mjcf=outside_mjcf)
+            .prepare(
                 self.trials.fit,
                 self.trials.held_out,
                 self.prepared.window,
@@ -183,7 +183,7 @@ class StagedFit:
 
     def _moved_terms(self, whole: Hypothesis) -> list[Term]:
         """Terms that are new, or whose parameters are beyond the 95 % intervals of a fit."""
-        half = parameter_spread(
+        half = parameter_uncertainty(
             self._problem.at(whole), with_derivatives(self._problem, whole)
         ).half_width
         moved = []

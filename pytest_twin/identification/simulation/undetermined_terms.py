@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.intervals import parameter_spread
+from pytest_twin.diagnosis.intervals import parameter_uncertainty
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.identification.simulation.stage_effects import SIMULATED, terms_of
 from pytest_twin.identification.simulation.stage_fit import with_derivatives
@@ -46,7 +46,7 @@ def undetermined_terms(
         kept = whole.hypothesis.without(*others)
         columns = whole.hypothesis.parameters_without(*others)
         part = replace(whole, hypothesis=kept, jacobian=whole.jacobian[..., columns])
-        half = parameter_spread(problem.at(part.hypothesis), part, in_parts=False).half_width
+        half = parameter_uncertainty(problem.at(part.hypothesis), part, in_parts=False).half_width
         for term in (t for t in absent if absent[t] == stage):
             own = kept.slice_of(term)
             switches = list(term.amplitude_indices(kept.theta[own]))

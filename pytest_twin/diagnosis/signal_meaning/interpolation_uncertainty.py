@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pytest_twin.diagnosis.findings import Estimate, Explained, Finding
-from pytest_twin.diagnosis.signal_meaning.command_between import Between
+from pytest_twin.diagnosis.findings import Estimate, Explanation, Finding
+from pytest_twin.diagnosis.signal_meaning.command_interpolation import CommandInterpolation
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
 from pytest_twin.effects.actuation import ActuatorLag
 from pytest_twin.effects.timing import CommandDelay, SensorDelay
@@ -26,21 +26,25 @@ _TEST = (
 )
 
 
-def with_doubt(explained: Explained, open_: Between | None) -> Explained:
+def with_interpolation_uncertainty(
+    explanation: Explanation, undetermined: CommandInterpolation | None
+) -> Explanation:
     """The findings with intervals of times that include all possible interpolations.
 
     Args:
-        explained: findings that were fitted with held commands.
-        open_: the undetermined answer; None if the interpolation is known.
+        explanation: findings that were fitted with held commands.
+        undetermined: the undetermined answer; None if the interpolation is known.
     """
-    if open_ is None:
-        return explained
-    less, more = open_.later(open_.assumed)
-    findings = [_doubted(f, less, more) if f.effect in _TIMES else f for f in explained.findings]
-    return replace(explained, findings=tuple(findings))
+    if undetermined is None:
+        return explanation
+    less, more = undetermined.delay_change(undetermined.assumed)
+    findings = [
+        _widen_interval(f, less, more) if f.effect in _TIMES else f for f in explanation.findings
+    ]
+    return replace(explanation, findings=tuple(findings))
 
 
-def _doubted(finding: Finding, less: float, more: float) -> Finding:
+def _widen_interval(finding: Finding, less: float, more: float) -> Finding:
     """A finding whose time may be smaller by ``-less`` or larger by ``more``, s."""
     name = _TIMES[finding.effect]
     time = finding.parameters[name]

@@ -17,7 +17,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
 from pytest_twin.diagnosis.problem import Problem
 
 
-def within_a_step(
+def residuals_with_step_tolerance(
     problem: Problem,
     hypotheses: Sequence[Hypothesis],
     residuals: Sequence[FloatArray],

@@ -43,27 +43,27 @@ class AssumptionResiduals:
 
 
 @dataclass(frozen=True, slots=True)
-class Between:
+class CommandInterpolation:
     """The answer for recordings with one command period.
 
     Attributes:
         fact: the answer.
         possible: assumptions that are not ruled out.
         period: command period, s.
-        if_open: assumption that is used without an answer.
+        default: assumption that is used without an answer.
     """
 
     fact: Fact
     possible: tuple[CommandBetween, ...]
     period: float
-    if_open: CommandBetween = "held"
+    default: CommandBetween = "held"
 
     @property
     def assumed(self) -> CommandBetween:
         """The answer; if it is open, the assumption that is used."""
-        return next((b for b in COMMAND_BETWEEN if b == self.fact.value), self.if_open)
+        return next((b for b in COMMAND_BETWEEN if b == self.fact.value), self.default)
 
-    def later(self, than: CommandBetween) -> tuple[float, float]:
+    def delay_change(self, than: CommandBetween) -> tuple[float, float]:
         """Smallest and largest change of a delay in s if another possible assumption is true.
 
         Both are 0 if only one assumption is possible.
@@ -77,13 +77,13 @@ class Between:
         return min(0.0, *shifts), max(0.0, *shifts)
 
 
-def decide(
+def decide_interpolation(
     left: Mapping[CommandBetween, AssumptionResiduals],
     lengths: Sequence[int],
     owner: Sequence[int],
     noise: FloatArray,
     period: float,
-) -> Between:
+) -> CommandInterpolation:
     """Choose between assumptions by their residuals.
 
     An alternative is ruled out if three conditions hold: the log-likelihood ratio over all
@@ -99,13 +99,13 @@ def decide(
     """
     usable = {b: x for b, x in left.items() if np.isfinite(x.residual).all()}
     if not usable:
-        return Between(
+        return CommandInterpolation(
             unknown("the model diverges under these commands"), COMMAND_BETWEEN, period,
             "held" if "held" in left else next(iter(left)),
         )  # fmt: skip
     rms = {b: np.sqrt(np.mean(x.residual**2, axis=0)) for b, x in usable.items()}
-    told = {b: level(x.residual, noise) for b, x in usable.items()}
-    best = min(told, key=lambda b: told[b])
+    log_levels = {b: log_rms(x.residual, noise) for b, x in usable.items()}
+    best = min(log_levels, key=lambda b: log_levels[b])
     possible, nats = [best], np.inf
     for other in usable:
         if other == best:
@@ -116,21 +116,25 @@ def decide(
             nats = min(nats, float(ratio.sum()))
         else:
             possible.append(other)
-    words = _in_words(rms, noise)
+    words = _describe(rms, noise)
     if len(possible) == 1:
         confidence = 1.0 - 0.5 * float(np.exp(-min(nats, 20.0) / 2.0))
-        return Between(Fact(best, min(confidence, 0.999), "data", words), (best,), period)
-    plain = _by_the_model(usable, possible, rms, noise)
-    if plain is not None:
-        words += f"; the model itself needs no correction if commands are {plain}"
-        return Between(Fact(plain, INTERPOLATION.most_by_model, "data", words), (plain,), period)
-    return Between(
+        return CommandInterpolation(
+            Fact(best, min(confidence, 0.999), "data", words), (best,), period
+        )
+    by_model = _decided_by_model(usable, possible, rms, noise)
+    if by_model is not None:
+        words += f"; the model itself needs no correction if commands are {by_model}"
+        return CommandInterpolation(
+            Fact(by_model, INTERPOLATION.most_by_model, "data", words), (by_model,), period
+        )
+    return CommandInterpolation(
         unknown(f"{words}: {' and '.join(sorted(possible))} explain the positions equally well"),
-        tuple(possible), period, _closer_to_the_model(usable, possible, noise),
+        tuple(possible), period, _default_interpolation(usable, possible, noise),
     )  # fmt: skip
 
 
-def level(residual: FloatArray, noise: FloatArray) -> float:
+def log_rms(residual: FloatArray, noise: FloatArray) -> float:
     """Sum over joints of the logarithm of the RMS residual, which is at least the noise.
 
     Args:
@@ -193,7 +197,7 @@ def _is_ruled_out(
     )
 
 
-def _by_the_model(
+def _decided_by_model(
     left: Mapping[CommandBetween, AssumptionResiduals],
     possible: Sequence[CommandBetween],
     rms: Mapping[CommandBetween, FloatArray],
@@ -209,17 +213,17 @@ def _by_the_model(
         b: (left[b].nominal <= INTERPOLATION.alike * least) & (least <= INTERPOLATION.near * noise)
         for b in possible
     }
-    alone = np.sum(list(alike.values()), axis=0) == 1
+    is_only_one = np.sum(list(alike.values()), axis=0) == 1
     second = np.sort([left[b].nominal for b in possible], axis=0)[1]
-    told = [
+    decisive = [
         b
         for b in possible
-        if (alike[b] & alone & (second >= INTERPOLATION.model_apart * left[b].nominal)).any()
+        if (alike[b] & is_only_one & (second >= INTERPOLATION.model_apart * left[b].nominal)).any()
     ]
-    return told[0] if len(told) == 1 else None
+    return decisive[0] if len(decisive) == 1 else None
 
 
-def _closer_to_the_model(
+def _default_interpolation(
     left: Mapping[CommandBetween, AssumptionResiduals],
     possible: Sequence[CommandBetween],
     noise: FloatArray,
@@ -241,7 +245,7 @@ def _closer_to_the_model(
     return "interpolated" if held - moving > np.log(INTERPOLATION.model_closer) else "held"
 
 
-def _in_words(rms: Mapping[CommandBetween, FloatArray], noise: FloatArray) -> str:
+def _describe(rms: Mapping[CommandBetween, FloatArray], noise: FloatArray) -> str:
     """RMS residual under each assumption at the joint where they differ most, in words."""
     joint = int(np.argmax(np.ptp(np.array(list(rms.values())), axis=0) / noise))
     each = ", ".join(f"{b} {r[joint] / noise[joint]:.2f}" for b, r in rms.items())
@@ -251,7 +255,7 @@ def _in_words(rms: Mapping[CommandBetween, FloatArray], noise: FloatArray) -> st
     )
 
 
-def without_own_recording(
+def cross_validated_residuals(
     residual: FloatArray, steps: Mapping[int, FloatArray], slopes: FloatArray,
     rows: Mapping[int, NDArray[np.int64]],
 ) -> FloatArray:  # fmt: skip

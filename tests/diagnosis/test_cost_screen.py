@@ -11,10 +11,10 @@ from pytest_twin.diagnosis.fit import weighted_cost
 from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.alternatives import AlternativeComparison
+from pytest_twin.diagnosis.search.cost_screen import CostScreen
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.term_exchange import TermExchange
-from pytest_twin.diagnosis.search.trial_simulation import TrialSimulation
 
 FORCE = Term("external_force", 0)
 DELAY, DRAG = Term("command_delay", ELBOW), Term("viscous_friction", SHOULDER)
@@ -40,7 +40,7 @@ def test_trial_simulations_use_the_half_of_the_windows_with_the_largest_residual
     comparison = ModelComparison(with_external_force)
     nominal = comparison.nominal
     left = np.mean(nominal.fitted.residual**2, axis=0)
-    trial = TrialSimulation(nominal, left)
+    trial = CostScreen(nominal, left)
     assert len(trial.segments) == 5
     assert {2, 3} <= set(trial.segments)
     (cost,) = trial.costs([EMPTY])
@@ -56,14 +56,14 @@ def test_each_effect_keeps_its_size_with_the_smallest_cost_and_diverging_sizes_a
     left = np.mean(best.fitted.residual**2, axis=0)
     sizes = [EMPTY.with_term(DELAY, np.array([x])) for x in (0.0, 0.03, 0.1)]
     diverging = EMPTY.with_term(Term("armature", ELBOW), np.array([np.nan]))
-    (found,) = TrialSimulation(best, left).cheapest([*sizes, diverging])
+    (found,) = CostScreen(best, left).best_of_each_term([*sizes, diverging])
     assert found is sizes[1]
 
 
 def test_a_parameter_at_its_bound_is_detected() -> None:
     (p,) = WEAK.parameters
-    assert EMPTY.with_term(WEAK, np.array([p.lower])).at_bound(WEAK)
-    assert not EMPTY.with_term(WEAK, np.array([0.5 * p.lower])).at_bound(WEAK)
+    assert EMPTY.with_term(WEAK, np.array([p.lower])).is_at_bound(WEAK)
+    assert not EMPTY.with_term(WEAK, np.array([0.5 * p.lower])).is_at_bound(WEAK)
 
 
 def test_a_better_alternative_that_was_not_simulated_is_tried_as_an_addition(

@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
 
-class TrialSimulation:
+class CostScreen:
     """Simulates hypotheses on half of the fit segments, to choose which of them are fitted.
 
     Attributes:
@@ -36,7 +36,7 @@ class TrialSimulation:
         found = self.problem.residuals(rows, self.segments)
         return [weighted_cost(r, self.weights) for r in found]
 
-    def cheapest(self, rows: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def best_of_each_term(self, rows: Sequence[Hypothesis]) -> list[Hypothesis]:
         """For each last term the hypothesis with the smallest error, best first."""
         costs = self.costs(rows)
         found: dict[Term, Hypothesis] = {}

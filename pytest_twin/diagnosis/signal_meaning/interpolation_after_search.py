@@ -16,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search.model_comparison import FAIR, ModelComparison
+from pytest_twin.diagnosis.search.model_comparison import DECIDING_ITERATIONS, ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem, conclude
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
@@ -25,18 +25,18 @@ from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 
 
-def with_fewer_effects(
-    found: SearchResult, given: ModelSetup, possible: Sequence[CommandBetween], run: Run
+def interpolation_with_fewer_effects(
+    found: SearchResult, setup: ModelSetup, possible: Sequence[CommandBetween], run: Run
 ) -> tuple[SearchResult, CommandBetween] | None:
     """The result under another interpolation, if it explains as much with fewer effects; else None.
 
     Args:
         found: the result under the present interpolation.
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         possible: interpolations that the recordings do not rule out.
         run: the running diagnosis.
     """
-    start = found.explained.hypothesis
+    start = found.explanation.hypothesis
     if not start.terms:
         return None
     used = {t.command_between for t in found.trials.fit if t.between_source == "assumed"}
@@ -45,11 +45,11 @@ def with_fewer_effects(
         if used == {between}:
             continue
         prepared, trials = build_problem(
-            given, _with_interpolation(found.trials, between), [], window=found.prepared.window
+            setup, _with_interpolation(found.trials, between), [], window=found.prepared.window
         )
         run.begin(f"commands {between} between their stamps", prepared.problem)
         selection = EffectSelection(prepared.problem, run)
-        least = _without_one(found, selection.comparison)
+        least = _fit_without_one(found, selection.comparison)
         if least is None:
             continue
         selected = selection.simplify(selection.comparison.fit_to_convergence(least))
@@ -59,14 +59,14 @@ def with_fewer_effects(
     return best
 
 
-def _without_one(found: SearchResult, comparison: ModelComparison) -> ScoredModel | None:
+def _fit_without_one(found: SearchResult, comparison: ModelComparison) -> ScoredModel | None:
     """The best fit with one effect fewer whose error is not larger in any signal; else None."""
-    start = found.explained.hypothesis
+    start = found.explanation.hypothesis
     fewer = [start.without(t) for t in start.terms]
-    rivals = comparison.rivals(fewer, comparison.nominal, FAIR)
+    models = comparison.fit_models(fewer, comparison.nominal, DECIDING_ITERATIONS)
     before, floor = found.pruned.fitted.residual, comparison.problem.signal_floor
-    as_good = [r for r in rivals if explains_as_much(r.fitted.residual, before, floor)]
-    comparison.judge(as_good, comparison.nominal)
+    as_good = [r for r in models if explains_as_much(r.fitted.residual, before, floor)]
+    comparison.score_models(as_good, comparison.nominal)
     return max(as_good, key=lambda r: r.evidence, default=None)
 
 
@@ -102,7 +102,7 @@ def _with_interpolation(trials: TrialSet, between: CommandBetween) -> TrialSet:
 
 def _has_fewer_effects(other: SearchResult, found: SearchResult) -> bool:
     """Whether a result has fewer effects and no larger error in any signal."""
-    if other.explained.hypothesis.more_terms(found.explained.hypothesis) >= 0:
+    if other.explanation.hypothesis.more_terms(found.explanation.hypothesis) >= 0:
         return False
     if other.errors.keys() != found.errors.keys():
         return False

@@ -1,4 +1,4 @@
-"""Fits for :mod:`~pytest_twin.diagnosis.signal_meaning.command_between`.
+"""Fits for :mod:`~pytest_twin.diagnosis.signal_meaning.command_interpolation`.
 
 Recordings of a simulation contain the integration error of its time step, which may look like
 another interpolation of the commands. For example, 2 ms of semi-implicit Euler under a stiff servo
@@ -17,28 +17,33 @@ from pytest_twin.diagnosis.integrator_detection import SUBSTEPS
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
 from pytest_twin.diagnosis.search_result import build_problem
-from pytest_twin.diagnosis.signal_meaning.command_between import (
+from pytest_twin.diagnosis.signal_meaning.command_interpolation import (
     MEAN_DELAY,
     AssumptionResiduals,
-    Between,
-    decide,
-    level,
-    without_own_recording,
+    CommandInterpolation,
+    cross_validated_residuals,
+    decide_interpolation,
+    log_rms,
 )
-from pytest_twin.diagnosis.signal_meaning.joint_fit import DELAY, JointFit, Parameters, fit_joints
+from pytest_twin.diagnosis.signal_meaning.joint_fit import (
+    DELAY,
+    SmoothParameterFit,
+    SmoothParameters,
+    fit_smooth_parameters,
+)
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
 from pytest_twin.diagnosis.signal_meaning.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
 
-_CLEARLY = float(np.log(2.0))
+_MIN_REDUCTION = float(np.log(2.0))
 """Reduction of the logarithm of the RMS residual, summed over joints, from which the step of a
 simulation is assumed: a factor of 2 at one joint. A smaller reduction does not matter here."""
 
 
 @dataclass(frozen=True, slots=True)
-class BetweenFit:
+class InterpolationFit:
     """An answer and the fit under this assumption.
 
     Attributes:
@@ -48,38 +53,42 @@ class BetweenFit:
         joints: names of the joints.
     """
 
-    answer: Between
-    fit: JointFit
-    space: Parameters
+    answer: CommandInterpolation
+    fit: SmoothParameterFit
+    space: SmoothParameters
     joints: tuple[str, ...]
 
 
-def fit_between(
-    given: ModelSetup, trials: Sequence[Trial], ways: Sequence[CommandBetween] = COMMAND_BETWEEN
-) -> BetweenFit:
+def fit_interpolation(
+    setup: ModelSetup,
+    trials: Sequence[Trial],
+    interpolations: Sequence[CommandBetween] = COMMAND_BETWEEN,
+) -> InterpolationFit:
     """Determine the interpolation of commands between their stamps.
 
     Args:
-        given: the model with its simulation settings.
+        setup: the model with its simulation settings.
         trials: recordings with the same command period.
-        ways: possible interpolations.
+        interpolations: possible interpolations.
 
     Raises:
         TwinError: as :func:`~pytest_twin.diagnosis.search_result.build_problem`.
     """
-    chosen = _liveliest(trials)
-    asked = tuple(
-        replace(t, command_between=between, effort=None) for between in ways for t in chosen
+    chosen = _fastest_recordings(trials)
+    trials_by_interpolation = tuple(
+        replace(t, command_between=between, effort=None)
+        for between in interpolations
+        for t in chosen
     )
-    prepared, kept = build_problem(given, TrialSet(asked, (), ()), [])
+    prepared, kept = build_problem(setup, TrialSet(trials_by_interpolation, (), ()), [])
     problem, noise = prepared.problem, prepared.floor_parts[NOISE]
     of = [(t.command_between, t.path, t.offset) for t in kept.fit]
     common = [
         (t.path, t.offset) for t in chosen
-        if all((b, t.path, t.offset) in of for b in ways)
+        if all((b, t.path, t.offset) in of for b in interpolations)
     ]  # fmt: skip
     groups, owner = [], list[int]()
-    for between in ways:
+    for between in interpolations:
         mine = [
             (common.index(of[t][1:]), s)
             for s, t in enumerate(prepared.segment_trial)
@@ -88,19 +97,21 @@ def fit_between(
         groups.append(np.array([s for _, s in mine], dtype=np.int64))
         owner = [r for r, _ in mine]
     period = float(np.median([np.median(np.diff(t.command_times)) for t in chosen]))
-    space = Parameters(problem, groups, noise)
-    fits = fit_joints(space, [period * MEAN_DELAY[b] for b in ways])
+    space = SmoothParameters(problem, groups, noise)
+    fits = fit_smooth_parameters(space, [period * MEAN_DELAY[b] for b in interpolations])
     lengths = problem.lengths(groups[0])
     left = {
-        between: _cross_validated_residual(_as_stepped(fit, space, group), space, lengths, owner)
-        for between, fit, group in zip(ways, fits, groups, strict=True)
+        between: _cross_validated_residual(
+            _with_best_time_step(fit, space, group), space, lengths, owner
+        )
+        for between, fit, group in zip(interpolations, fits, groups, strict=True)
     }
-    answer = decide(left, lengths, owner, noise, period)
-    at = ways.index(answer.assumed)
-    return BetweenFit(answer, fits[at], space, problem.joints)
+    answer = decide_interpolation(left, lengths, owner, noise, period)
+    at = interpolations.index(answer.assumed)
+    return InterpolationFit(answer, fits[at], space, problem.joints)
 
 
-def _liveliest(trials: Sequence[Trial]) -> list[Trial]:
+def _fastest_recordings(trials: Sequence[Trial]) -> list[Trial]:
     """The beginnings of the recordings whose commands change fastest on average.
 
     Recordings whose commands step are used only if there is no other: when within its period a
@@ -114,10 +125,10 @@ def _liveliest(trials: Sequence[Trial]) -> list[Trial]:
     most = sorted(range(len(trials)), key=lambda i: moved(trials[i]), reverse=True)[
         : INTERPOLATION.most_recordings
     ]
-    return [_beginning(trials[i]) for i in sorted(most)]
+    return [_until_after_first_change(trials[i]) for i in sorted(most)]
 
 
-def _beginning(trial: Trial) -> Trial:
+def _until_after_first_change(trial: Trial) -> Trial:
     """The beginning of a recording until some seconds after its first change of command."""
     changes = np.flatnonzero(np.diff(trial.command, axis=0).any(axis=1))
     first = float(trial.command_time[changes[0]]) if len(changes) else 0.0
@@ -127,7 +138,9 @@ def _beginning(trial: Trial) -> Trial:
     )
 
 
-def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> JointFit:
+def _with_best_time_step(
+    fit: SmoothParameterFit, space: SmoothParameters, group: NDArray[np.int64]
+) -> SmoothParameterFit:
     """The better fit: that for a robot, or that for a simulation with one of several time steps.
 
     For a simulation the integration error is not corrected; the fit is adapted to first order.
@@ -139,12 +152,12 @@ def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> J
     ):
         return fit
     error = np.concatenate([discretization_error[int(s)].position for s in group])
-    best, least = fit, level(fit.residual, space.noise) - _CLEARLY
+    best, least = fit, log_rms(fit.residual, space.noise) - _MIN_REDUCTION
     for substeps in SUBSTEPS:
         residual = fit.residual + error / substeps
         step = space.step(fit.theta, residual, fit.slopes)
         residual = residual - np.einsum("npj,pj->nj", fit.slopes, step)
-        left = level(residual, space.noise)
+        left = log_rms(residual, space.noise)
         if left < least:
             nominal, theta = fit.nominal + error / substeps, fit.theta + step
             best = replace(fit, residual=residual, nominal=nominal, theta=theta)
@@ -153,7 +166,7 @@ def _as_stepped(fit: JointFit, space: Parameters, group: NDArray[np.int64]) -> J
 
 
 def _cross_validated_residual(
-    fit: JointFit, space: Parameters, lengths: Sequence[int], owner: Sequence[int]
+    fit: SmoothParameterFit, space: SmoothParameters, lengths: Sequence[int], owner: Sequence[int]
 ) -> AssumptionResiduals:
     """Cross-validated residual of a fit.
 
@@ -174,6 +187,6 @@ def _cross_validated_residual(
         for r, mine in rows.items():
             others = np.delete(np.arange(len(residual)), mine)
             steps[r] = space.step(fit.theta, residual[others], fit.slopes[others])
-        residual = without_own_recording(residual, steps, fit.slopes, rows)
+        residual = cross_validated_residuals(residual, steps, fit.slopes, rows)
     nominal = np.sqrt(np.mean(fit.nominal**2, axis=0))
     return AssumptionResiduals(residual, nominal, fit.has_converged, fit.theta[DELAY])
