@@ -269,7 +269,7 @@ def _propose_sets(
     out = [
         *(h for h in alike[: EQUIVALENT.with_same_parameters] if allowed(h)),
         *others[: EQUIVALENT.of_search],
-        *fewer[: EQUIVALENT.interpolation_with_fewer_effects],
+        *fewer[: EQUIVALENT.with_fewer_effects],
         *(f.hypothesis for f in fitted[: len(closest)] if allowed(f.hypothesis)),
         *likeliest,
     ]

@@ -29,7 +29,7 @@ class EquivalentSetSettings:
         simulated: number of sets that are simulated before they are fitted.
         with_same_parameters: of these, sets with the parameters of the effects that they replace.
         of_search: of these, sets that the search found nearly as good.
-        interpolation_with_fewer_effects: of these, sets with fewer effects.
+        with_fewer_effects: of these, sets with fewer effects.
         kept_by_step: number of sets that remain at each step of the fit.
         far_behind: difference in evidence to the final set above which a set is dropped after one
             step.
@@ -52,7 +52,7 @@ class EquivalentSetSettings:
     simulated: int = 16
     with_same_parameters: int = 4
     of_search: int = 4
-    interpolation_with_fewer_effects: int = 3
+    with_fewer_effects: int = 3
     kept_by_step: tuple[int, ...] = (6, 4, 3)
     far_behind: float = 400.0
     nearly_all: float = 0.9

@@ -57,7 +57,7 @@ def weigh_by_removal(
     Args:
         comparison: the comparison in which it was fitted.
         best: the fit.
-        absent_value: term -> evidence of the fit without it, relative to ``best``.
+        removal_evidence: term -> evidence of the fit without it, relative to ``best``.
     """
     selected = SelectedModel(best, comparison.nominal, candidate_count=comparison.candidate_count)
     selected.weigh({((t,), None): evidence for t, evidence in removal_evidence.items()})

@@ -122,10 +122,10 @@ class ModelComparison:
         noise_model: ScoredModel | None = None,
         likelihood: Likelihood = log_likelihood,
     ) -> None:
-        """Set the evidence of ``fit_models`` relative to ``reference``.
+        """Set the evidence of ``models`` relative to ``reference``.
 
         Args:
-            fit_models: fitted models; their ``evidence`` and ``held_gain`` are set.
+            models: fitted models; their ``evidence`` and ``held_gain`` are set.
             reference: the model with evidence 0.
             noise_model: the model whose residual gives the effective sample size; ``reference`` by
                 default.

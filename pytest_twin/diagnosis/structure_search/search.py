@@ -240,7 +240,7 @@ class StructureSearch:
         # Large models can fit errors of the linearization. The best proposals of each number of
         # effects are simulated, so that large ones do not displace a single right effect.
         chosen, others = best_of_each_size(ranked, Quota.of(settings))
-        return chosen + others[: max(settings.propose_models - len(chosen), 0)]
+        return chosen + others[: max(settings.proposals - len(chosen), 0)]
 
     def _fit_best(
         self,

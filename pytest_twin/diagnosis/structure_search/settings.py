@@ -36,7 +36,7 @@ class StructureSearchSettings:
     rounds: int = 12
     added: int = 3
     beam: int = 8
-    propose_models: int = 12
+    proposals: int = 12
     of_one_effect: int = 8
     of_each_count: int = 4
     of_each_elastic: int = 2
