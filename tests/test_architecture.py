@@ -114,6 +114,8 @@ def test_a_diagnosis_imports_neither_distributions_nor_filters_of_scipy() -> Non
     """Their import takes 0.6 s, longer than the first answer of a small diagnosis."""
     code = (
         "import sys, pytest_twin.diagnosis.diagnose, pytest_twin.report.diagnosis_plots;"
+        "import numpy, pytest_twin.metrics.recorded_frequency as r;"
+        "assert r.recorded_response(*numpy.random.default_rng(0).normal(size=(2, 999)), 100.0);"
         "print(sorted({'scipy.signal', 'scipy.stats'} & {*sys.modules}))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.metrics.frequency import Response, bandwidth, resonance
+from pytest_twin.metrics.spectrum import cross_density, power_density
 
 MIN_COHERENCE = 0.8
 """Smallest coherence; below it, the random error of the magnitude exceeds 10 % with 12 averages."""
@@ -82,13 +83,9 @@ def recorded_response(command: FloatArray, response: FloatArray, rate: float) ->
     length = 2 * len(command) // (_SEGMENTS + 1)
     if length < _MIN_SEGMENT_SAMPLES:
         return None
-    # The import takes 0.6 s, and every check imports this module.
-    from scipy import signal
-
     # The mean is removed, so that the line at 0 Hz contains no signal.
-    frequency, cross = (x[1:] for x in signal.csd(command, response, fs=rate, nperseg=length))
-    power_u = np.abs(signal.csd(command, command, fs=rate, nperseg=length)[1])[1:]
-    power_y = np.abs(signal.csd(response, response, fs=rate, nperseg=length)[1])[1:]
+    frequency, cross = (x[1:] for x in cross_density(command, response, rate, length))
+    power_u, power_y = (power_density(x, rate, length)[1][1:] for x in (command, response))
     excited = (power_u >= _EXCITED**2 * power_u.max(initial=0.0)) & (power_u > 0.0)
     coherence = np.zeros(len(frequency))
     responding = excited & (power_y > 0.0)

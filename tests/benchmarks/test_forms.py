@@ -19,8 +19,8 @@ from pytest_twin.formats.mcap import read_recording
 
 @pytest.fixture(autouse=True)
 def short_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Use recordings of 2.5 s, less than half of the benchmark's length, to save time."""
-    monkeypatch.setattr(forms, "SECONDS", 2.5)
+    """Use recordings of 1.8 s, less than a third of the benchmark's length, to save time."""
+    monkeypatch.setattr(forms, "SECONDS", 1.8)
 
 
 @pytest.mark.parametrize("form", [forms.WheelOffItsAxis, forms.Smoothed, forms.HeavyLink])

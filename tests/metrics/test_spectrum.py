@@ -1,12 +1,12 @@
-"""Power spectral density by Welch's method."""
+"""Spectral densities by Welch's method."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import welch
+from scipy.signal import csd, welch
 
-from pytest_twin.metrics.spectrum import power_density
+from pytest_twin.metrics.spectrum import cross_density, power_density
 
 RATE = 200.0
 
@@ -22,6 +22,15 @@ def test_the_power_density_equals_that_of_scipy(size: int, padded: int, centred:
     )
     np.testing.assert_allclose(frequency, expected[0])
     np.testing.assert_allclose(power, expected[1], rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("size", [8, 63, 64])
+def test_the_cross_density_equals_that_of_scipy(size: int) -> None:
+    first, second = 3.0 + np.random.default_rng(size).standard_normal((2, 500))
+    frequency, found = cross_density(first, second, RATE, size)
+    expected = csd(first, second, RATE, nperseg=size)
+    np.testing.assert_allclose(frequency, expected[0])
+    np.testing.assert_allclose(found, expected[1], rtol=1e-9, atol=1e-15)
 
 
 def test_the_integral_of_the_power_is_the_mean_square() -> None:
