@@ -45,7 +45,7 @@ def problem_of(folder: Path, **hidden: float) -> Problem:
     loaded = load_model(model)
     realization = loaded.realization
     paths = [
-        record(folder / f"{seed}.mcap", seed, joints=("left",), role="fit", **hidden)
+        record(folder / f"{seed}.mcap", seed, joints=("left",), role="fit", seconds=2.2, **hidden)
         for seed in (1, 2)
     ]
     trials = read_trials(paths, [], loaded.topics, realization.structure)
