@@ -18,6 +18,8 @@ from pytest_twin.trial import make_trial
 from pytest_twin.twin import load_twin
 
 JOINTS = ("shoulder", "elbow")
+# The first two tests keep the child process of the command.
+IN_PROCESS = pytest.mark.usefixtures("commands_in_process")
 TWIN = "name: arm\nmodel: arm.xml\ncontrollers: {soft: {shoulder: {kp: 60}}}\n"
 
 
@@ -63,6 +65,22 @@ def test_the_prediction_is_written_at_the_recorded_stamps(
     assert said.err == ""
 
 
+def test_a_diverging_simulation_is_reported_in_one_line(
+    arm: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wild = ARM.replace('kp="80" kv="4" forcerange="-10 10"', 'kp="1e9" kv="0"')
+    (arm / "wild.xml").write_text(wild.replace("implicitfast", "Euler"))
+    arguments = ["replay", str(arm / "wild.xml"), str(arm / "moves.mcap"), "--out",
+                 str(arm / "o.mcap"), "--topics", "state=/js,command=/jc"]  # fmt: skip
+    assert cli.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert (
+        "wild.xml: joint 'shoulder': the acceleration diverged 0 s after the first state" in error
+    )
+    assert not (arm / "o.mcap").exists()
+
+
+@IN_PROCESS
 def test_only_the_first_state_is_read(arm: Path) -> None:
     recorded = read_recording(arm / "moves.mcap", {"state": "/js", "command": "/jc"})
     state = recorded.series["state"]
@@ -78,6 +96,7 @@ def test_only_the_first_state_is_read(arm: Path) -> None:
     assert (arm / "moves_out.mcap").read_bytes() == (arm / "other_out.mcap").read_bytes()
 
 
+@IN_PROCESS
 def test_a_bare_model_is_replayed_with_topics_from_the_option(
     arm: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,6 +109,7 @@ def test_a_bare_model_is_replayed_with_topics_from_the_option(
     ) in capsys.readouterr().out
 
 
+@IN_PROCESS
 @pytest.mark.parametrize("name", ["twin.yaml", "model.xml"])
 def test_the_output_folder_of_diagnose_is_accepted_as_model(arm: Path, name: str) -> None:
     folder = arm / "diagnosis"
@@ -103,6 +123,7 @@ def test_the_output_folder_of_diagnose_is_accepted_as_model(arm: Path, name: str
     assert json.loads((arm / "o.json").read_text())["model"].endswith(f"realization/{name}")
 
 
+@IN_PROCESS
 @pytest.mark.parametrize(
     ("model", "recording", "out", "words"),
     [
@@ -140,21 +161,6 @@ def test_replay_reports_unusable_input_in_one_line_and_writes_no_file(
     assert words in said.err
     assert said.err.count("\n") == 1
     assert sorted(arm.rglob("*")) == before
-
-
-def test_a_diverging_simulation_is_reported_in_one_line(
-    arm: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wild = ARM.replace('kp="80" kv="4" forcerange="-10 10"', 'kp="1e9" kv="0"')
-    (arm / "wild.xml").write_text(wild.replace("implicitfast", "Euler"))
-    arguments = ["replay", str(arm / "wild.xml"), str(arm / "moves.mcap"), "--out",
-                 str(arm / "o.mcap"), "--topics", "state=/js,command=/jc"]  # fmt: skip
-    assert cli.main(arguments) == 2
-    error = capsys.readouterr().err
-    assert (
-        "wild.xml: joint 'shoulder': the acceleration diverged 0 s after the first state" in error
-    )
-    assert not (arm / "o.mcap").exists()
 
 
 @pytest.mark.parametrize("text", ["state", "joint=/x", "state=/x,state=/y", "state="])
