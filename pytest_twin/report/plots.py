@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 MAX_BARS = 14
 """Largest number of bars of a plot."""
@@ -37,6 +38,10 @@ _WIDTH_INCHES = 8.6
 """Width of a plot."""
 # Of a tick, its distance to its label, and that label's to the axis label.
 _LABEL_GAP_INCHES = 0.17
+# Margins, distance of the title from the edge, distance between two panels, and height of an axis
+# label of two lines, in inches. Fixed values, because a layout that measures all text takes a third of
+# the drawing time.
+_TOP, _BOTTOM, _RIGHT, _EDGE, _BETWEEN, _AXIS_LABEL = 0.5, 0.46, 0.12, 0.06, 0.28, 0.3
 
 
 def plot(
@@ -80,10 +85,13 @@ def _render(title: str, draw: Callable[[Figure], None]) -> bytes:
     # Ignore warnings about missing glyphs or extreme numbers, which do not concern the robot.
     with matplotlib.rc_context(STYLE), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        figure = Figure(layout="constrained")
+        figure = Figure()
         FigureCanvasSVG(figure)
         draw(figure)
-        figure.suptitle(_label(title, 90), x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+        top = 1.0 - _EDGE / figure.get_size_inches()[1]
+        figure.suptitle(
+            _label(title, 90), x=0.01, y=top, ha="left", fontsize=9.5, fontweight="bold"
+        )
         return svg_of(figure)
 
 
@@ -104,7 +112,7 @@ def _draw_time(figure: Figure, series: Series, panels: Sequence[Panel], left_out
             _residual(last, panel)
     if last is not None:
         _axis_label(last, series, left_out)
-    _align_labels(figure.axes)
+    _place(figure, ratios)
     _legend(figure, courses)
 
 
@@ -122,7 +130,7 @@ def _draw_frequency(figure: Figure, series: Series, panels: Sequence[Panel], lef
             formatter(_plain_number)
         rows[-1].tick_params(axis="x", which="minor", labelsize=7)
     _axis_label(rows[-1], series, left_out)
-    _align_labels(figure.axes)
+    _place(figure, [1.0] * len(panels))
     _legend(figure, list(rows))
 
 
@@ -195,24 +203,40 @@ def _axis_label(axes: Axes, series: Series, left_out: int) -> None:
     axes.set_xlabel(_label(f"{name} [{unit}]{more}", 80))
 
 
-def _align_labels(rows: Sequence[Axes]) -> None:
-    """Align the labels of vertical axes in one column, left of the widest tick label.
+def _place(figure: Figure, ratios: Sequence[float]) -> None:
+    """Place the panels below each other, with the labels of vertical axes in one column.
 
-    ``Figure.align_ylabels`` measures every tick again for each axis and each layout pass, which
-    takes a third of the drawing time.
+    Args:
+        figure: its axes are the panels, from top to bottom.
+        ratios: their relative heights.
     """
     from matplotlib.transforms import ScaledTranslation
 
-    figure = rows[0].figure
-    inches = [
-        label.get_window_extent().width / figure.dpi
-        for axes in rows
-        for label in axes.get_yticklabels()
-    ]
-    left = max(inches, default=0.0) + _LABEL_GAP_INCHES
-    for axes in rows:
+    # The number of ticks depends on the height of a panel, and the margin on the tick labels.
+    _place_below(figure, ratios, 1.0)
+    labels = [label for axes in figure.axes for label in axes.get_yticklabels()]
+    left = max(map(_width, labels), default=0.0) + _LABEL_GAP_INCHES
+    _place_below(figure, ratios, left + _AXIS_LABEL)
+    for axes in figure.axes:
         moved = axes.transAxes + ScaledTranslation(-left, 0.0, figure.dpi_scale_trans)
         axes.yaxis.set_label_coords(0.0, 0.5, transform=moved)
+
+
+def _place_below(figure: Figure, ratios: Sequence[float], left: float) -> None:
+    width, height = figure.get_size_inches()
+    room = height - _TOP - _BOTTOM - _BETWEEN * (len(ratios) - 1)
+    top = height - _TOP
+    for axes, ratio in zip(figure.axes, ratios, strict=True):
+        tall = room * ratio / sum(ratios)
+        axes.set_position(
+            (left / width, (top - tall) / height, 1.0 - (left + _RIGHT) / width, tall / height)
+        )
+        top -= tall + _BETWEEN
+
+
+def _width(text: Text) -> float:
+    """Width of a text in inches."""
+    return float(text.get_window_extent().width / text.figure.dpi)
 
 
 def _legend(figure: Figure, rows: Sequence[Axes]) -> None:
@@ -255,7 +279,7 @@ def _draw_bars(figure: Figure, measures: Sequence[Measure]) -> None:
     axes.xaxis.set_major_formatter(_percent)
     more = f"   ({left_out} with less not shown)" if left_out > 0 else ""
     axes.set_xlabel(f"error, of the tolerance{more}")
-    for row, measure in zip(rows, shown, strict=True):
+    notes = [
         axes.annotate(
             f"{number(measure.error)} of {quantity(measure.tolerance, measure.unit)}",
             (1.0, row),
@@ -266,6 +290,12 @@ def _draw_bars(figure: Figure, measures: Sequence[Measure]) -> None:
             color=INK if measure.passed else FAIL,
             fontsize=8,
         )
+        for row, measure in zip(rows, shown, strict=True)
+    ]
+    left, right = (max(map(_width, texts)) + 0.17 for texts in (axes.get_yticklabels(), notes))
+    width, height = figure.get_size_inches()
+    tall = height - _BETWEEN - _BOTTOM
+    axes.set_position((left / width, _BOTTOM / height, 1.0 - (left + right) / width, tall / height))
 
 
 def _percent(value: float, _: object = None) -> str:

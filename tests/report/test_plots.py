@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from lxml import etree
+from matplotlib.figure import Figure
 
 from pytest_twin.checks.base import Trace
 from pytest_twin.outcome import Measure
@@ -165,6 +167,43 @@ def test_downsampling_keeps_every_spike() -> None:
     for at in (5, 33_333, 99_998):
         assert line.y[line.x == at] == values[at]
     assert (np.diff(line.x) > 0).all()
+
+
+@pytest.mark.parametrize("kind", ["time", "frequency", "bars"])
+def test_all_text_lies_within_the_plot_and_panels_do_not_overlap(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept: list[Figure] = []
+
+    def keep(figure: Figure) -> bytes:
+        kept.append(figure)
+        return b""
+
+    monkeypatch.setattr("pytest_twin.report.plots.svg_of", keep)
+    long = "of_a_joint_with_a_long_name_that_nobody_wants_to_read_twice"
+    if kind == "bars":
+        plot("fk", "Bars", [Measure(long, long, 1.0, 0.0, 1e-9, 1e-8, "N*m*s/rad")], None, None)
+    elif kind == "time":
+        now, then = (trace(1e-7 * x, "N*m*s/rad", [long, "elbow"]) for x in (1.0, 0.0))
+        plot("step", "Step", [worst_of(now, then, long, 1e-9)], now, then)
+    else:
+        lines = np.geomspace(0.5, 50.0, 30)
+        columns = {
+            "magnitude": ("dB re rad/rad", 1e-5 * lines),
+            "phase": ("rad", -0.01 * lines),
+            "coherence": ("1", np.ones(30)),
+        }
+        plot("frequency_response", "F", [], Trace(("frequency", "Hz"), lines, columns), None)
+    (figure,) = kept
+    boxes = [axes.get_tightbbox() for axes in figure.axes]
+    width, height = figure.bbox.size
+    for box in boxes:
+        assert box.x0 > -1.0
+        assert box.y0 > -1.0
+        assert box.x1 < width + 1.0
+        assert box.y1 < height + 1.0
+    for above, below in pairwise(boxes):
+        assert above.y0 > below.y1 - 1.0
 
 
 def test_plots_are_reproducible() -> None:
