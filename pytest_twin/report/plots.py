@@ -39,8 +39,8 @@ _WIDTH_INCHES = 8.6
 # Of a tick, its distance to its label, and that label's to the axis label.
 _LABEL_GAP_INCHES = 0.17
 # Margins, distance of the title from the edge, distance between two panels, and height of an axis
-# label of two lines, in inches. Fixed values, because a layout that measures all text takes a third of
-# the drawing time.
+# label of two lines, in inches. Fixed values, because a layout that measures all text takes a
+# third of the drawing time.
 _TOP, _BOTTOM, _RIGHT, _EDGE, _BETWEEN, _AXIS_LABEL = 0.5, 0.46, 0.12, 0.06, 0.28, 0.3
 
 
