@@ -82,7 +82,9 @@ def _describe_interval(curve: Curve, inside: slice, unit: str, force: str) -> st
     if at_start or at_end:
         side = f"below {high:.2g}" if at_start else f"above {low:.2g}"
         return f"up to {amount} {side} {unit} ({name})"
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    # A part may have a single knot; it extends halfway to its neighbours.
+    spacing = (curve.knots[-1] - curve.knots[0]) / (len(curve.knots) - 1)
+    middle, half = 0.5 * (low + high), 0.5 * max(high - low, float(spacing))
     return f"{amount} within {half:.2g} {unit} of {middle:.2g} {unit} ({name})"
 
 
