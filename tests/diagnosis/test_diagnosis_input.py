@@ -339,14 +339,18 @@ def test_a_saturated_velocity_is_reported_and_the_recording_is_used(bench: Bench
     assert any("velocity of left is at its maximum of 1" in note for note in found.notes)
 
 
-def stuck_positions(bench: Bench) -> np.ndarray:
+def stuck_positions(bench: Bench, first: int = 20) -> np.ndarray:
     held = bench.seen.copy()
-    held[20:, 0] = held[20, 0]
+    held[first:, 0] = held[first, 0]
     return held
 
 
-def test_a_recording_with_a_stuck_encoder_is_left_out_if_others_remain(bench: Bench) -> None:
-    found = bench.read(bench.add("a.mcap"), bench.add("stuck.mcap", seen=stuck_positions(bench)))
+@pytest.mark.parametrize("first", [20, 80], ids=["before it has moved", "after it has moved"])
+def test_a_recording_with_a_stuck_encoder_is_left_out_if_others_remain(
+    bench: Bench, first: int
+) -> None:
+    stuck = bench.add("stuck.mcap", seen=stuck_positions(bench, first))
+    found = bench.read(bench.add("a.mcap"), stuck)
     assert (names(found.fit), found.unseen) == (["a.mcap"], frozenset())
     assert any("encoder of left is stuck" in note for note in found.notes)
 

@@ -104,6 +104,20 @@ def test_an_effect_is_named_alone_if_the_others_explain_clearly_less(
     assert found.removed_share > 0.95
 
 
+def test_no_effect_is_named_that_removes_a_small_part_of_the_error(tmp_path: Path) -> None:
+    """Somebody pushes the joint; an actuator lag would remove 1.5 % of that."""
+    (tmp_path / "model.xml").write_text(mjcf())
+    trial = make_trial(read_recording(record(tmp_path / "seen.mcap", 1, seconds=2.2)))
+    read = trial.position.copy()
+    for start, push in ((0.4, 0.1), (0.9, 0.1), (1.3, 0.1), (1.8, -0.1)):
+        pushed = (trial.time > start) & (trial.time < start + 0.2)
+        read[pushed, 0] += push * np.sin(np.pi * (trial.time[pushed] - start) / 0.2) ** 2
+    seen = quick_diagnosis(
+        load(tmp_path / "model.xml"), replace(trial, position=read), failed=("left",)
+    )
+    assert (seen.likely_effects, seen.unexplained) == ((), ("left",))
+
+
 def test_a_delay_too_short_to_distinguish_from_a_lag_is_named_with_it(tmp_path: Path) -> None:
     found = only_effect(tmp_path, mjcf(), delay=0.008)
     named = {found.place, *found.alternatives}
