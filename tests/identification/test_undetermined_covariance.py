@@ -27,7 +27,9 @@ def stated(joint: np.ndarray) -> tuple[dict, np.ndarray]:
     )  # fmt: skip
     result = SimpleNamespace(
         prepared=SimpleNamespace(problem=problem),
-        spread=SimpleNamespace(half_width=1.96 * np.sqrt(np.diag(joint)), joint=joint),
+        spread=SimpleNamespace(
+            half_width=1.96 * np.sqrt(np.diag(joint)), conservative_covariance=joint
+        ),
         stage_of={term: "friction"},
         hypothesis=Hypothesis((term,), np.array([0.3, 0.1, 0.2])),
     )

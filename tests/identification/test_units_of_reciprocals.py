@@ -41,7 +41,9 @@ def stated(effect: str, theta: list[float]) -> dict[str, Any]:
         joints=("elbow",), scales=SimpleNamespace(value=lambda parameter, joint: 2.0),
         simulator=SimpleNamespace(layout=layout),
     )  # fmt: skip
-    spread = SimpleNamespace(half_width=np.full(len(theta), 0.1), joint=0.01 * np.eye(len(theta)))
+    spread = SimpleNamespace(
+        half_width=np.full(len(theta), 0.1), conservative_covariance=0.01 * np.eye(len(theta))
+    )
     result = SimpleNamespace(
         prepared=SimpleNamespace(problem=problem), spread=spread, stage_of={term: "drive"},
         hypothesis=Hypothesis((term,), np.array(theta)),

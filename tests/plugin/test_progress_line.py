@@ -36,12 +36,12 @@ class Slow(Check):
 
 # A separate pytest run, because pytest-xdist workers have no terminal. The work takes 125 s.
 INNER = """
-from pytest_twin.report import each_minute
+from pytest_twin.report import progress_log
 from pytest_twin.session.progress import ProgressLine
 
 def test_long(pytestconfig, monkeypatch):
     now = 0.0
-    monkeypatch.setattr(each_minute.time, "monotonic", lambda: now)
+    monkeypatch.setattr(progress_log.time, "monotonic", lambda: now)
     with ProgressLine(pytestconfig).named("diagnosis of arm") as progress:
         for now, fraction in ((30.0, 0.1), (61.0, 0.2), (90.0, 0.3), (125.0, 0.4)):
             progress(fraction)

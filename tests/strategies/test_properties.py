@@ -323,18 +323,23 @@ def test_energy_conservation_detects_a_dissipative_force(arm: Asset) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "broken"),
+    ("name", "transformation", "broken"),
     [
-        ("mirrored", lambda tree: tree),
-        ("rerooted", lambda tree, root: _turned(reroot(tree, root))),
+        ("mirrored", "mirror", lambda tree: tree),
+        ("rerooted", "reroot", lambda tree, root: _turned(reroot(tree, root))),
     ],
+    ids=["mirrored", "rerooted"],
 )
 def test_mirrored_and_rerooted_properties_detect_a_wrong_transformation(
-    name: str, broken: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    transformation: str,
+    broken: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # A new asset, because imported forms are cached.
     asset = asset_of(tmp_path)
-    monkeypatch.setattr(f"pytest_twin.properties.transformations.trees.{name}", broken)
+    monkeypatch.setattr(f"pytest_twin.properties.transformations.trees.{transformation}", broken)
     with pytest.raises(
         PropertyError, match=r"frame '\w+': .*(mirrored|with root 'tool'), has another orientation"
     ):
