@@ -48,7 +48,7 @@ def _duplicates(asset: Asset) -> Iterator[Finding]:
                 f"its name differs from '{alike}' only in upper and lower case",
                 name,
                 None,
-                "names that still differ when written in lower case",
+                "names that differ in more than upper and lower case",
                 "some file systems and formats treat the two as one name",
                 "rename one of them",
             )

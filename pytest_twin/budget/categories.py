@@ -149,7 +149,7 @@ _OF_NAME = {
     "contact_torsional_friction": "contact_and_material",
     "contact_rolling_friction": "contact_and_material",
 }
-"""Names that are not effects, and effects whose category is not that of their family."""
+"""Category of each name that is no effect, and of each effect that differs from its family."""
 
 
 def category_of_record(name: str) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import ModelError, SpecError
@@ -90,14 +91,12 @@ class InverseDynamics:
             velocity, acceleration: (n, joints) rad/s, rad/s^2, or m/s, m/s^2.
         """
         model, data = self._model, self._data
-        rows = np.array([model.joints[i].idx_v for i in self._ids], dtype=np.intp)
+        rows = self._rows
         starts = np.array([10 * (i - 1) for i in self._links], dtype=np.intp)
         columns = (starts[:, None] + _ORDER).ravel()
         # One flat index per instant: separate indexing would take longer than the regressor.
         places = (rows[:, None] * (10 * (model.njoints - 1)) + columns).ravel()
-        q = self._configurations(position)
-        v, a = np.zeros((2, len(position), model.nv))
-        v[:, rows], a[:, rows] = velocity, acceleration
+        q, v, a = self._states(position, velocity, acceleration)
         found = np.empty((len(position), len(places)))
         for at in range(len(position)):
             whole = pin.computeJointTorqueRegressor(model, data, q[at], v[at], a[at])
@@ -151,11 +150,9 @@ class InverseDynamics:
                 pin.Inertia.FromDynamicParameters(ordered) if own.any() else pin.Inertia.Zero()
             )
         data = model.createData()
-        rows = np.array([model.joints[i].idx_v for i in self._ids], dtype=np.intp)
+        rows = self._rows
         square = np.ix_(rows, rows)
-        q = self._configurations(position)
-        v, a = np.zeros((2, len(position), model.nv))
-        v[:, rows], a[:, rows] = velocity, acceleration
+        q, v, a = self._states(position, velocity, acceleration)
         by_q, by_v, by_a = np.empty((3, len(position), len(rows), len(rows)))
         for at in range(len(position)):
             pin.computeRNEADerivatives(model, data, q[at], v[at], a[at])
@@ -164,6 +161,19 @@ class InverseDynamics:
         # Pinocchio fills the upper triangle of the mass matrix.
         filled = rows[:, None] <= rows
         return by_q, by_v, np.where(filled, by_a, by_a.transpose(0, 2, 1))
+
+    @property
+    def _rows(self) -> NDArray[np.intp]:
+        """(joints,) indices of the joints' velocities in Pinocchio."""
+        return np.array([self._model.joints[i].idx_v for i in self._ids], dtype=np.intp)
+
+    def _states(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n, nq) configurations of Pinocchio, (n, nv) velocities, (n, nv) accelerations."""
+        v, a = np.zeros((2, len(position), self._model.nv))
+        v[:, self._rows], a[:, self._rows] = velocity, acceleration
+        return self._configurations(position), v, a
 
     def _configurations(self, position: FloatArray) -> FloatArray:
         """(n, nq) configurations of Pinocchio, which has cosine and sine for unbounded hinges."""

@@ -383,7 +383,7 @@ def _check_files(files: Sequence[FileEntry], limits: ReleaseLimits) -> None:
         raise ReleaseError(
             f"two files have the same name on other systems: {one!r} and {other!r}",
             where="subject",
-            expected="names that still differ when written in lower case",
+            expected="names that differ in more than upper and lower case",
         )
 
 

@@ -210,13 +210,12 @@ class _Maker:
         for at, (joint, mode) in enumerate(zip(commanded.joints, commanded.modes, strict=True)):
             if mode == "position":
                 self.checks.within_range(joint, command[:, at], command_time, commands.series.topic)
-        self.check_unstated_efforts(joints, time, position, command_time, command, commands)
         for joint in commanded.never:
             self.checks.mark(
                 "unavailable", commands.series.topic, joint, command_time[0], command_time[-1],
                 f"joint {joint!r} is never commanded",
             )  # fmt: skip
-        return Trial(
+        trial = Trial(
             path=self.recording.path,
             start=start,
             joints=joints,
@@ -232,6 +231,8 @@ class _Maker:
             marks=tuple(sorted(self.checks.marks, key=lambda mark: mark.start)),
             own_commands=own,
         )
+        self.check_unstated_efforts(trial, commands.series.topic)
+        return trial
 
     def states(self, timed: TimedMessages) -> tuple[StateRows, tuple[str, ...]]:
         """States sorted by stamp, from the first at which all joints have been measured."""
@@ -362,29 +363,21 @@ class _Maker:
         self.checks.refuse_two_sources(joint, position, topic)
         self.checks.note_outliers(joint, position, time, topic)
 
-    def check_unstated_efforts(
-        self,
-        joints: tuple[str, ...],
-        time: FloatArray,
-        position: FloatArray,
-        command_time: FloatArray,
-        command: FloatArray,
-        commands: TimedMessages,
-    ) -> None:
+    def check_unstated_efforts(self, trial: Trial, topic: str) -> None:
         """Check commands that are efforts only because the model has motors."""
-        chosen = self.commanded
-        both = [
-            (at, joints.index(joint))
-            for at, (joint, mode) in enumerate(zip(chosen.joints, chosen.modes, strict=True))
-            if mode == "effort" and joint in chosen.unstated and joint in joints
+        joints = [
+            joint
+            for joint in trial.joints
+            if joint in self.commanded.unstated and trial.mode_of(joint) == "effort"
         ]
-        if not both:
+        if not joints:
             return
-        own, measured = (list(each) for each in zip(*both, strict=True))
-        held = np.searchsorted(command_time, time, side="right") - 1
-        later = held >= 0
+        later = trial.time >= trial.command_time[0]
+        commands = trial.commands_before(trial.time[later])
         self.checks.refuse_positions_as_efforts(
-            command[held[later]][:, own], position[later][:, measured], commands.series.topic
+            commands[:, [trial.command_joints.index(joint) for joint in joints]],
+            trial.position[later][:, [trial.joints.index(joint) for joint in joints]],
+            topic,
         )
 
     def note_order(self, timed: TimedMessages, start: int) -> None:
