@@ -38,10 +38,11 @@ _WIDTH_INCHES = 8.6
 """Width of a plot."""
 # Of a tick, its distance to its label, and that label's to the axis label.
 _LABEL_GAP_INCHES = 0.17
-# Margins, distance of the title from the edge, distance between two panels, and height of an axis
-# label of two lines, in inches. Fixed values, because a layout that measures all text takes a
-# third of the drawing time.
-_TOP, _BOTTOM, _RIGHT, _EDGE, _BETWEEN, _AXIS_LABEL = 0.5, 0.46, 0.12, 0.06, 0.28, 0.3
+# Margins, distances of title and legend from the edge, distance between two panels, and height of
+# an axis label of two lines, in inches. Fixed values, because a layout that measures all text takes
+# a third of the drawing time.
+_TOP, _BOTTOM, _RIGHT, _BETWEEN, _AXIS_LABEL = 0.7, 0.46, 0.12, 0.28, 0.3
+_TITLE_AT, _LEGEND_AT = 0.06, 0.24
 
 
 def plot(
@@ -88,7 +89,7 @@ def _render(title: str, draw: Callable[[Figure], None]) -> bytes:
         figure = Figure()
         FigureCanvasSVG(figure)
         draw(figure)
-        top = 1.0 - _EDGE / figure.get_size_inches()[1]
+        top = 1.0 - _TITLE_AT / figure.get_size_inches()[1]
         figure.suptitle(
             _label(title, 90), x=0.01, y=top, ha="left", fontsize=9.5, fontweight="bold"
         )
@@ -98,7 +99,7 @@ def _render(title: str, draw: Callable[[Figure], None]) -> bytes:
 def _draw_time(figure: Figure, series: Series, panels: Sequence[Panel], left_out: int) -> None:
     """Draw each panel's series, and below it the difference."""
     ratios = [ratio for panel in panels for ratio in ([2.2, 1.0] if panel.then else [2.2])]
-    figure.set_size_inches(_WIDTH_INCHES, 0.55 + 0.78 * sum(ratios))
+    figure.set_size_inches(_WIDTH_INCHES, 0.75 + 0.78 * sum(ratios))
     rows = iter(
         figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
     )
@@ -117,7 +118,7 @@ def _draw_time(figure: Figure, series: Series, panels: Sequence[Panel], left_out
 
 
 def _draw_frequency(figure: Figure, series: Series, panels: Sequence[Panel], left_out: int) -> None:
-    figure.set_size_inches(_WIDTH_INCHES, 0.6 + 1.75 * len(panels))
+    figure.set_size_inches(_WIDTH_INCHES, 0.8 + 1.75 * len(panels))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(rows, panels, strict=True):
         _course(axes, panel)
@@ -240,15 +241,17 @@ def _width(text: Text) -> float:
 
 
 def _legend(figure: Figure, rows: Sequence[Axes]) -> None:
-    """Draw one legend for all panels, with each label once."""
+    """Draw one legend for all panels below the title, with each label once."""
     found: dict[str, Artist] = {}
     for axes in rows:
         handles, labels = axes.get_legend_handles_labels()
         for label, handle in zip(labels, handles, strict=True):
             found.setdefault(label, handle)
+    top = 1.0 - _LEGEND_AT / figure.get_size_inches()[1]
     figure.legend(
-        list(found.values()), list(found), loc="upper right", ncols=len(found), borderaxespad=0.1
-    )
+        list(found.values()), list(found), loc="upper right", bbox_to_anchor=(1.0, top),
+        ncols=len(found), borderaxespad=0.1,
+    )  # fmt: skip
 
 
 def _draw_bars(figure: Figure, measures: Sequence[Measure]) -> None:

@@ -204,6 +204,10 @@ def test_all_text_lies_within_the_plot_and_panels_do_not_overlap(
         assert box.y1 < height + 1.0
     for above, below in pairwise(boxes):
         assert above.y0 > below.y1 - 1.0
+    title = figure.texts[0].get_window_extent()
+    for legend in figure.legends:
+        assert legend.get_window_extent().y1 < title.y0 + 1.0
+        assert legend.get_window_extent().y0 > boxes[0].y1 - 1.0
 
 
 def test_plots_are_reproducible() -> None:
