@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,14 +31,11 @@ def share_confidence(selected: SelectedModel, compared: ComparedSets) -> Selecte
     """
     own = compared.best.hypothesis
     odds = {s.terms: float(np.exp(min(s.evidence, 700.0))) for s in compared.sets}
-    other_sets = [
-        _OtherSet(
-            s.terms, _new_terms(s.model.hypothesis, own), odds[s.terms], s.prediction_difference
-        )
-        for s in compared.sets
-        if not _only_generalizes(s.model.hypothesis, own)
-    ]
-    other_sets += _sets_of_search(selected, own, set(odds), compared.tempering)
+    other_sets = _distinct_sets(
+        [_OtherSet(s.terms, odds[s.terms], s.prediction_difference) for s in compared.sets]
+        + _sets_of_search(selected, own, set(odds), compared.tempering),
+        own,
+    )
     confidence: dict[Term, float] = {}
     sets: dict[Term, list[AlternativeEffects]] = {}
     for term in own.terms:
@@ -48,13 +45,13 @@ def share_confidence(selected: SelectedModel, compared: ComparedSets) -> Selecte
         sets[term] = sorted(
             (
                 AlternativeEffects(
-                    s.new,
+                    tuple(sorted(s.terms.difference(own.terms))),
                     tuple(t for t in own.terms if t not in s.terms),
                     s.odds / whole,
                     s.prediction_difference,
                 )
                 for s in alternatives
-                if s.new
+                if s.terms.difference(own.terms)
             ),
             key=lambda a: -a.confidence,
         )
@@ -73,44 +70,47 @@ def share_confidence(selected: SelectedModel, compared: ComparedSets) -> Selecte
     )
 
 
+@dataclass(frozen=True)
 class _OtherSet:
     """Another set of effects.
 
     Args:
         terms: all its terms.
-        new: its terms that the final set lacks.
         odds: its posterior odds against the final set.
         prediction_difference: largest RMS difference of the predictions in noise floors; None if
             unknown.
     """
 
-    def __init__(
-        self,
-        terms: frozenset[Term],
-        new: tuple[Term, ...],
-        odds: float,
-        prediction_difference: float | None,
-    ) -> None:
-        self.terms, self.new, self.odds, self.prediction_difference = (
-            terms,
-            new,
-            odds,
-            prediction_difference,
-        )
+    terms: frozenset[Term]
+    odds: float
+    prediction_difference: float | None
 
 
-def _only_generalizes(other: Hypothesis, own: Hypothesis) -> bool:
-    """Whether a set differs from another only by general laws instead of their special cases."""
-    new = _new_terms(other, own)
-    replaced = _new_terms(own, other)
-    return len(new) == len(replaced) > 0 and all(
-        any(special.effect in law.law.generalizes for special in replaced) for law in new
-    )
+def _distinct_sets(sets: Sequence[_OtherSet], own: Hypothesis) -> list[_OtherSet]:
+    """The sets that differ from the final one by more than general laws, each of them once.
+
+    A general law contains its special case. A set with the general law is the set with the special
+    case, counted a second time: beside it, every effect of another cause would lose confidence.
+    """
+    likeliest: dict[frozenset[Term], _OtherSet] = {}
+    for other in sets:
+        terms = _with_special_cases(other.terms, own)
+        if terms == frozenset(own.terms):
+            continue
+        if terms not in likeliest or other.odds > likeliest[terms].odds:
+            likeliest[terms] = replace(other, terms=terms)
+    return list(likeliest.values())
 
 
-def _new_terms(other: Hypothesis, own: Hypothesis) -> tuple[Term, ...]:
-    """Terms of ``other`` that ``own`` lacks."""
-    return tuple(t for t in other.terms if t not in own.terms)
+def _with_special_cases(terms: frozenset[Term], own: Hypothesis) -> frozenset[Term]:
+    """A set with each law that generalizes effects of the final set replaced by these effects."""
+    special_cases: set[Term] = set()
+    for term in terms - frozenset(own.terms):
+        contained = {
+            t for t in own.terms if t.joint == term.joint and t.effect in term.law.generalizes
+        }
+        special_cases |= contained - terms or {term}
+    return (terms & frozenset(own.terms)) | special_cases
 
 
 def _offsets(other: Hypothesis, own: Hypothesis) -> dict[Term, FloatArray]:
@@ -150,5 +150,5 @@ def _sets_of_search(
             if terms_of_set in known or not np.isfinite(ratio):
                 continue
             odds = float(np.exp(min(tempering * ratio, 700.0)))
-            out.append(_OtherSet(terms_of_set, added, odds, None))
+            out.append(_OtherSet(terms_of_set, odds, None))
     return out

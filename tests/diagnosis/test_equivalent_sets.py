@@ -332,6 +332,50 @@ def test_a_general_law_is_no_alternative_to_its_special_case() -> None:
     ] == pytest.approx(0.5)
 
 
+def test_effects_of_independent_causes_keep_the_confidence_that_each_has_alone() -> None:
+    """Late readings explain late commands, and two general laws contain dry friction.
+
+    Combinations of both are the same alternatives, not further ones.
+    """
+    problem = problem_of(PENDULUM.format(drive=SERVO), "position", {})
+    comparison = ModelComparison(problem)
+
+    def shared(own: tuple[Term, ...], *others: tuple[Term, ...]) -> dict[Term, float]:
+        fitted = comparison.fit_models(
+            [with_values(problem, {t: {} for t in terms}) for terms in (own, *others)],
+            comparison.nominal,
+            0,
+        )
+        best, *rivals = fitted
+        sets = tuple(AlternativeSet(rival, 0.0, 0.0) for rival in rivals)
+        selected = SelectedModel(best, comparison.nominal)
+        return share_confidence(selected, ComparedSets(best, sets, 1.0, 0.0)).confidence
+
+    asymmetric, stribeck = (Term(e, FIRST) for e in ("asymmetric_friction", "stribeck_friction"))
+    friction_alone = shared((DRY,), (asymmetric,), (stribeck,))
+    delay_alone = shared((COMMAND_DELAY,), (SENSOR_DELAY,))
+    both = shared(
+        (DRY, COMMAND_DELAY),
+        *((law, COMMAND_DELAY) for law in (asymmetric, stribeck)),
+        *((law, SENSOR_DELAY) for law in (DRY, asymmetric, stribeck)),
+    )
+    assert friction_alone == pytest.approx({DRY: 1.0})
+    assert delay_alone == pytest.approx({COMMAND_DELAY: 0.5})
+    assert both == pytest.approx(friction_alone | delay_alone)
+
+
+def test_a_general_law_at_another_joint_is_an_alternative() -> None:
+    problem = problem_of(PLANAR, "position", {})
+    comparison = ModelComparison(problem)
+    elsewhere = Term("asymmetric_friction", SECOND)
+    best, rival = comparison.fit_models(
+        [with_values(problem, {t: {}}) for t in (DRY, elsewhere)], comparison.nominal, 0
+    )
+    sets = ComparedSets(best, (AlternativeSet(rival, 0.0, 0.0),), 1.0, 0.0)
+    selected = share_confidence(SelectedModel(best, comparison.nominal), sets)
+    assert selected.confidence[DRY] == pytest.approx(0.5)
+
+
 def rejected(
     problem: Problem, chosen: dict[Term, dict[str, float]]
 ) -> tuple[ModelComparison, SelectedModel, PrunedModel]:
