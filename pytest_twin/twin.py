@@ -24,7 +24,6 @@ from pytest_twin.formats.identification_record import (
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
 from pytest_twin.installed import entry_points_by_name
-from pytest_twin.old_names import old_name
 from pytest_twin.ranges_spec import RangesSpec, TrialGroup
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 
@@ -381,8 +380,6 @@ class Twin:
     def fits_in_use(self) -> tuple[IdentificationRecord, ...]:
         """Records under ``fit:`` that no later one supersedes, the newest last."""
         return _not_superseded(self.fits)
-
-    holding_fits = old_name("holding_fits", "fits_in_use")
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.audit.finding import Finding, Place
-from pytest_twin.old_names import old_name
 from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.node import Node
@@ -111,11 +110,6 @@ class Joint:
     soft_gain: float | None = None
     soft_place: Place | None = None
 
-    limited = old_name("limited", "is_limited")
-    continuous = old_name("continuous", "is_continuous")
-    limit_stated = old_name("limit_stated", "has_stated_limit")
-    soft_stated = old_name("soft_stated", "has_stated_soft_limit")
-
     @property
     def unit(self) -> str:
         """Return the unit of its position."""
@@ -147,8 +141,6 @@ class Mimic:
     multiplier: float
     offset: float
     is_active: bool = True
-
-    active = old_name("active", "is_active")
 
 
 @dataclass(slots=True)
@@ -236,8 +228,6 @@ class Sensor:
     kind: str
     carrier: str
     rate: float | None = None
-
-    bearer = old_name("bearer", "carrier")
 
 
 @dataclass(slots=True)
@@ -410,8 +400,6 @@ class Asset:
             further += float(np.linalg.norm(edge.position))
             found[edge.parent] = (mass + carried, max(reach, further))
         return found
-
-    beyond = old_name("beyond", "subtrees")
 
     def shapes_of(self, body: str) -> list[Shape]:
         """Return the geometries of a body."""

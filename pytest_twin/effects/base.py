@@ -18,7 +18,6 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.fast_clip import fast_clip
 from pytest_twin.effects.motor_side import Gear, MotorSide
 from pytest_twin.effects.proposal import JointFit, Start, sizes_up_to_bound, starting_sizes
-from pytest_twin.old_names import old_name
 from pytest_twin.trial import CommandMode
 
 if TYPE_CHECKING:
@@ -318,10 +317,6 @@ class World:
         effort -= self.damping * velocity
         effort += self.offset
         return effort
-
-    asked = old_name("asked", "control_effort")
-    coldness = old_name("coldness", "cold_fraction")
-    motor_constant = old_name("motor_constant", "motor_constant_effort")
 
 
 class Effect:
@@ -631,8 +626,6 @@ class ModelFields:
     def center_moves(self) -> NDArray[np.bool_]:
         """(rows, joints) whose links have a shifted centre of mass."""
         return np.asarray((self.center_radial != 0.0) | (self.center_tangential != 0.0))
-
-    changes_links = old_name("changes_links", "has_changed_links")
 
     @property
     def has_changed_links(self) -> bool:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.fast_clip import fast_clip
-from pytest_twin.old_names import old_name
 
 _TOOTH_DAMPING = 0.6
 """Damping of the teeth divided by the square root of stiffness times inertia; little ringing."""
@@ -84,10 +83,6 @@ class Gear:
         self.is_elastic = self.is_elastic | acts
         self.stiffness = np.where(acts, stiffness, self.stiffness)
         self.damping = np.where(acts, damping, self.damping)
-
-    apart = old_name("apart", "is_elastic")
-    give = old_name("give", "add_compliance")
-    stretch = old_name("stretch", "deflection")
 
 
 def _stability_factor(

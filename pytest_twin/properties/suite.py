@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.errors import SpecError
-from pytest_twin.old_names import old_name
 from pytest_twin.properties import agreement, dynamics, transformations
 from pytest_twin.properties.asset import Asset, load_asset
 from pytest_twin.properties.tolerances import Tolerances
@@ -34,8 +33,6 @@ class Property:
     check: Callable[..., Iterable[Broken]]
     needs_poses: bool
     compares: bool
-
-    posed = old_name("posed", "needs_poses")
 
     @property
     def doc(self) -> str:
