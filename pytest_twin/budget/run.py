@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,8 @@ from pytest_twin.budget.lines import (
 )
 from pytest_twin.budget.propagate import Spread
 from pytest_twin.budget.task import Task, task_of
-from pytest_twin.budget.unmodelled_errors import unmodelled_lines
+from pytest_twin.budget.unmodelled_errors import unmodelled_errors
+from pytest_twin.budget.verdict import QUANTITIES, assess
 from pytest_twin.errors import TwinError
 from pytest_twin.gate.specs import load_golden, spec_paths
 from pytest_twin.realization import Realization, load
@@ -50,8 +51,10 @@ def budget(
     """Return the error budget of a loaded twin."""
     task = task_of(twin, realization)
     notes = list(task.notes)
-    lines = _lines(twin, realization, task, notes, progress)
-    unmodelled = unmodelled_lines(task, lines, twin)
+    superseded = {name for entry in twin.calibrations for name in entry.supersedes}
+    superseded |= {name for fit in twin.fits for name in fit.supersedes}
+    lines = _lines(twin, realization, task, superseded, notes, progress)
+    unmodelled = unmodelled_errors(task, lines, twin, superseded)
     linear = total_of([line.linear for line in lines if line.linear is not None])
     drawn = total_of([line.drawn for line in lines if line.drawn is not None])
     goldens = _goldens(twin, notes)
@@ -59,6 +62,7 @@ def budget(
     return {
         "schema": 1,
         "twin": twin.name,
+        **assess(drawn, unmodelled, spec),
         "output": {
             "frame": task.frame,
             "frame_source": task.frame_source,
@@ -86,12 +90,11 @@ def _lines(
     twin: Twin,
     realization: Realization,
     task: Task,
+    superseded: Collection[str],
     notes: list[str],
     progress: Callable[[float], None],
 ) -> list[Line]:
     found: list[Line] = []
-    superseded = {name for entry in twin.calibrations for name in entry.supersedes}
-    superseded |= {name for fit in twin.fits for name in fit.supersedes}
     taken: set[str] = set()
     count = max(1, len(twin.calibrations) + len(twin.fits))
     # Newest records come first; quantities that they measured are not taken from earlier ones.
@@ -157,7 +160,12 @@ def _category(
     if category.id == "unmodelled" and unmodelled:
         state = "measured"
         records = [line.record for line in lines if line.id in {one["id"] for one in unmodelled}]
-        beyond = max(one["beyond"] for one in unmodelled)
+        beyond = {
+            quantity: max(
+                (entry[quantity]["beyond"] for entry in unmodelled if entry[quantity]), default=None
+            )
+            for quantity in QUANTITIES
+        }
     owner = twin.budget.owners.get(category.id)
     return {
         "category": category.id,

@@ -2,67 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from pytest_twin.budget.lines import Line
-from pytest_twin.budget.propagate import first_order
+from pytest_twin.budget.propagate import Spread, first_order
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.twin import Twin
 
 
-def unmodelled_lines(task: Task, lines: Sequence[Line], twin: Twin) -> list[dict[str, Any]]:
-    """Return unexplained held-out errors of the records, as position errors of the frame.
+def unmodelled_errors(
+    task: Task, lines: Sequence[Line], twin: Twin, superseded: Collection[str]
+) -> list[dict[str, Any]]:
+    """Return unexplained held-out errors of the records, as errors of the frame.
 
-    Each is an upper bound, because it includes measurement noise.
+    Each is an upper bound, because it includes measurement noise. A record without covariance
+    explains nothing of its error.
+
+    Args:
+        task: frame and poses.
+        lines: lines of the budget.
+        twin: twin with the records.
+        superseded: ids of records that are not used.
     """
-    found = []
-    explained = {line.id: line.linear.position for line in lines if line.linear is not None}
+    explained = {line.id: line.linear for line in lines}
+    errors = []
     for calibration in twin.calibrations:
         record = calibration.record
-        if record.id not in {line.id for line in lines}:
-            continue
         # The error of all three coordinates is used if the record has it.
-        error = record.held_out.get("distance_rms")
-        if error is None and "translation_rms" in record.held_out:
-            error = float(np.sqrt(3.0)) * record.held_out["translation_rms"]
-        if error is not None:
-            found.append(
-                _unexplained_error(record.id, error, explained.get(record.id), "calibration")
-            )
+        position = record.held_out.get("distance_rms")
+        if position is None and "translation_rms" in record.held_out:
+            position = float(np.sqrt(3.0)) * record.held_out["translation_rms"]
+        rotation = record.held_out.get("angle_rms")
+        if rotation is None and "rotation_rms" in record.held_out:
+            rotation = float(np.sqrt(3.0)) * record.held_out["rotation_rms"]
+        errors.append((record.id, "calibration", "held-out observations", position, rotation))
     for fit in twin.fits:
-        own = fit.record.position_rms
-        if fit.record.id in {line.id for line in lines} and own:
-            error = frame_error(task, own)
-            if error is not None:
-                found.append(_unexplained_error(fit.record.id, error, explained.get(fit.record.id),
-                                     "identification"))  # fmt: skip
-    return found
+        spread = frame_error(task, fit.record.position_rms)
+        errors.append(
+            (
+                fit.record.id, "identification", "whole held-out recordings",
+                None if spread is None else spread.position,
+                None if spread is None else spread.rotation,
+            )
+        )  # fmt: skip
+    return [
+        {
+            "id": ident,
+            "kind": kind,
+            "over": over,
+            "position": _unexplained_error(position, explained.get(ident), "position"),
+            "rotation": _unexplained_error(rotation, explained.get(ident), "rotation"),
+        }
+        for ident, kind, over, position, rotation in errors
+        if ident not in superseded and (position is not None or rotation is not None)
+    ]
 
 
-def frame_error(task: Task, joints: Mapping[str, float]) -> float | None:
-    """RMS displacement (m) of the frame by independent errors of joints."""
+def frame_error(task: Task, joints: Mapping[str, float]) -> Spread | None:
+    """Displacement of the frame by independent RMS errors of joints (rad or m)."""
     columns = [joints.get(joint, 0.0) for joint in task.chain.joints]
     if not any(columns):
         return None
     count = len(columns)
     every = ChainParameters(count, np.zeros(count), tuple(range(count)))
-    return first_order(forward(task.chain, task.readings, every), np.diag(columns)).position
+    return first_order(forward(task.chain, task.readings, every), np.diag(columns))
 
 
 def _unexplained_error(
-    ident: str, error: float, explained: float | None, kind: str
-) -> dict[str, Any]:
-    beyond = float(np.sqrt(max(error**2 - (explained or 0.0) ** 2, 0.0)))
-    over = "held-out observations" if kind == "calibration" else "whole held-out recordings"
+    error: float | None, explained: Spread | None, quantity: str
+) -> dict[str, float | None] | None:
+    if error is None:
+        return None
+    known = None if explained is None else float(getattr(explained, quantity))
     return {
-        "id": ident,
-        "kind": kind,
-        "over": over,
         "held_out": error,
-        "explained": explained,
-        "beyond": beyond,
+        "explained": known,
+        "beyond": float(np.sqrt(max(error**2 - (known or 0.0) ** 2, 0.0))),
     }

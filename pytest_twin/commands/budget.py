@@ -63,14 +63,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _words(document: dict[str, Any]) -> list[str]:
-    """Return the summary for people: the total, then each category."""
+    """Return the summary for people: the verdict, the estimates' share, then each category."""
     output, total = document["output"], document["total"]
     lines = [f"error budget of {document['twin']!r}: pose of {output['frame']!r}"]
+    lines += [f"  {line}" for line in document["words"]]
     lines.append(f"  {output['frame_source']}; {output['poses_source']}")
     if total["sampled"] is None:
-        lines.append("  total: no record of this twin affects the frame")
+        lines.append("  by the estimates: no record of this twin affects the frame")
     else:
-        lines.append(f"  total: {_size(total['sampled'])}{_share(total['share'])}")
+        lines.append(f"  by the estimates: {_size(total['sampled'])}{_share(total['share'])}")
     for one in document["categories"]:
         lines.append(f"  {one['category'].replace('_', ' ')}: {_state(one)}")
     for line in document["lines"]:
@@ -84,7 +85,12 @@ def _state(one: dict[str, Any]) -> str:
     if one["state"] == "counted_elsewhere":
         return f"counted with {', '.join(one['counted_in'])}, which estimated it together"
     if one["beyond"] is not None:
-        return f"up to {1e3 * one['beyond']:.3g} mm of held-out error is not explained"
+        sizes = [
+            f"{1e3 * value:.3g} {unit}"
+            for value, unit in zip(one["beyond"].values(), ("mm", "mrad"), strict=True)
+            if value is not None
+        ]
+        return f"up to {', '.join(sizes)} of held-out error is not explained"
     if one["moves"] is None:
         return f"measured by {', '.join(one['lines'])}; not carried to the frame"
     return f"{_size(one['moves'])}{_share(one['share'])}, from {', '.join(one['lines'])}"

@@ -25,12 +25,10 @@ def render(document: Mapping[str, Any]) -> str:
         document: ``budget.json``.
     """
     style = style_of("report.css", "diagnosis.css")
-    share = document["total"]["share"]
-    stated = [value for value in share.values() if value is not None]
     unmeasured = [one for one in document["categories"] if one["state"] == "not_measured"]
-    # The page is green if the error is within tolerance and everything is measured.
-    mood = "bad" if max(stated, default=0.0) > 1.0 else "good"
-    mood = "part" if mood == "good" and (unmeasured or not stated) else mood
+    mood = {"exceeded": "bad", "within": "good"}.get(document["verdict"], "part")
+    # A kind of error that nothing measures may be large elsewhere than on the held-out recordings.
+    mood = "part" if mood == "good" and unmeasured else mood
     figures = {}
     for quantity in ("position", "rotation"):
         if quantity == "rotation" and not any(
@@ -47,18 +45,22 @@ def render(document: Mapping[str, Any]) -> str:
         style=style.text,
         style_hash=style.sha256,
         mood=mood,
-        headline=_headline(document),
+        headline=document["words"][0],
+        more_words=document["words"][1:],
+        estimated=_estimated(document),
         unmeasured=len(unmeasured),
         states=_STATES,
         figures=figures,
     )
 
 
-def _headline(document: Mapping[str, Any]) -> str:
+def _estimated(document: Mapping[str, Any]) -> str:
     found = document["total"]["sampled"]
     if found is None:
         return "No record of this twin affects the frame"
-    words = f"{1e3 * found['position']:.3g} mm and {1e3 * found['rotation']:.3g} mrad"
+    words = (
+        f"By the estimates {1e3 * found['position']:.3g} mm and {1e3 * found['rotation']:.3g} mrad"
+    )
     shares = [
         f"{100 * value:.3g} % of the {name}"
         for name, value in document["total"]["share"].items()

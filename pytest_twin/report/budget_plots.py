@@ -109,7 +109,8 @@ def waterfall_figure(document: Mapping[str, Any], quantity: str) -> bytes | None
 
 def _value(one: Mapping[str, Any], quantity: str) -> float | None:
     if one["beyond"] is not None:
-        return float(one["beyond"]) if quantity == "position" else None
+        beyond = one["beyond"][quantity]
+        return None if beyond is None else float(beyond)
     return None if one["moves"] is None else float(one["moves"][quantity])
 
 

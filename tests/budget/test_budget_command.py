@@ -49,7 +49,7 @@ def test_the_page_and_a_valid_json_file_are_written(
     assert page.count("<img") == 4
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
     output = capsys.readouterr().out
-    assert re.search(r"total: 0\.\d+ mm, 1\.\d+ mrad \(\d", output)
+    assert re.search(r"by the estimates: 0\.\d+ mm, 1\.\d+ mrad \(\d", output)
     assert "contact and material: not measured; pytest-twin identify" in output
 
 

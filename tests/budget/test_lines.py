@@ -138,7 +138,7 @@ def test_held_out_error_above_the_predicted_one_counts_as_unmodelled(tmp_path: P
     found = budget_of_file(str(make_twin(tmp_path, [record], budget=declared())))
     explained = found["lines"][0]["linear"]["position"]
     (one,) = found["unmodelled"]
-    assert one["beyond"] == pytest.approx(np.sqrt(0.003**2 - explained**2), rel=1e-9)
+    assert one["position"]["beyond"] == pytest.approx(np.sqrt(0.003**2 - explained**2), rel=1e-9)
     category = found["categories"][-1]
     assert (category["category"], category["state"]) == ("unmodelled", "measured")
     assert category["moves"] is None
@@ -152,7 +152,8 @@ def test_held_out_errors_of_joints_are_converted_to_errors_of_the_frame(tmp_path
     (one,) = budget_of_file(str(twin))["unmodelled"]
     # For a straight arm, the lever of the shoulder is the whole arm, that of the elbow the forearm.
     expected = np.hypot(0.004 * (UPPER + FORE), 0.003 * FORE)
-    assert one["held_out"] == pytest.approx(expected, rel=1e-9)
+    assert one["position"]["held_out"] == pytest.approx(expected, rel=1e-9)
+    assert one["rotation"]["held_out"] == pytest.approx(np.hypot(0.004, 0.003), rel=1e-9)
 
 
 def test_parameters_without_a_counterpart_in_the_model_are_reported_as_left_out(

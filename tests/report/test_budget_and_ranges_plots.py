@@ -77,7 +77,7 @@ BUDGET = {
         category("frame_calibration", 0.004),
         category("sensing", None, state="counted_elsewhere", counted_in=["wrist"]),
         category("contact_and_material", None, state="not_measured"),
-        category("unmodelled", None, beyond=0.002),
+        category("unmodelled", None, beyond={"position": 0.002, "rotation": None}),
     ],
     "lines": [
         line("clock", 0.003, {"time offset": 0.003}),
