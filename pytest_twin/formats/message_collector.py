@@ -18,7 +18,7 @@ from pytest_twin.formats.message_types import (
     long_name,
     message_type,
 )
-from pytest_twin.formats.recording import Damage, Notes, Recording, Topic
+from pytest_twin.formats.recording import Damage, JointSeries, Notes, Recording, Topic
 from pytest_twin.formats.ros_serialization import (
     QUANTITIES,
     Batch,
@@ -117,11 +117,11 @@ class MessageCollector:
                 that differ.
             LimitError: beyond ``limits.MCAP``.
         """
-        series = {
-            role: found
-            for role, reader in self.readers.items()
-            if (found := reader.finish()) is not None
-        }
+        series: dict[str, JointSeries] = {}
+        for role in sorted(self.readers, key=lambda role: role == "command"):
+            joint_series = self.readers[role].finish(series.get("state"))
+            if joint_series is not None:
+                series[role] = joint_series
         metadata = self.trial_metadata()
         if not self._has_checksum_for_metadata():
             self.remarks.add(

@@ -229,6 +229,8 @@ class JointTrajectory:
     def from_json(self, message: bytes, row: int) -> Batch:
         """Decode one message."""
         found = object_of(message)
+        if not found.get("joint_names") and not found.get("points"):
+            return trajectory_from_json(found | {"points": []}, [], row)
         return trajectory_from_json(found, names_of(found.get("joint_names"), "joint_names"), row)
 
 

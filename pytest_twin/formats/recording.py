@@ -30,6 +30,8 @@ class JointSeries:
         velocity: (n, j) rad/s or m/s, None and NaN as for ``position``.
         effort: (n, j) N*m or N, None and NaN as for ``position``.
         stamped: whether any message has a ``header.stamp`` of its own.
+        from_trajectories: whether these are setpoints of trajectories, so that velocities are
+            slopes of the positions.
     """
 
     topic: str
@@ -40,6 +42,7 @@ class JointSeries:
     velocity: Floats | None
     effort: Floats | None
     stamped: bool = True
+    from_trajectories: bool = False
 
 
 @dataclass(frozen=True)

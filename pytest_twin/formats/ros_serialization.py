@@ -43,6 +43,7 @@ class Batch:
         bad_stamp: number of stamps with ``nanosec`` of a second or more.
         values: quantity -> (n, j) in SI units, or None if it is empty in these messages.
         after: (n,) time of each setpoint after its message's time, ns; None if all are 0.
+        acceleration: (n, j) of trajectories, rad/s^2 or m/s^2; None if it is empty.
     """
 
     rows: Integers
@@ -51,6 +52,7 @@ class Batch:
     bad_stamp: int
     values: Mapping[str, Floats | None]
     after: Integers | None = None
+    acceleration: Floats | None = None
 
 
 @dataclass(frozen=True)

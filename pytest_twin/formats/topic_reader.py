@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.errors import LimitError, RecordingError
 from pytest_twin.formats import limits
@@ -29,7 +30,20 @@ from pytest_twin.formats.ros_serialization import (
     Integers,
     MessageError,
 )
-from pytest_twin.formats.trajectory import follow_trajectories
+from pytest_twin.formats.trajectory import STOP, is_stop
+from pytest_twin.formats.trajectory_setpoints import (
+    Setpoints,
+    TooManySetpointsError,
+    TrajectoryMessage,
+    play,
+)
+
+_LATE = 0.1
+"""s. A trajectory that arrives later than this after its stamp has missed a visible part."""
+_OTHER_CLOCK = 1.0
+"""s. Stamps that differ more from the log times are on another clock."""
+_MOVED = 0.02
+"""rad or m. A joint that moves less before its first trajectory rests."""
 
 
 @dataclass
@@ -173,8 +187,11 @@ class TopicReader:
         self.types[channel, schema] = kind
         return kind
 
-    def finish(self) -> JointSeries | None:
+    def finish(self, states: JointSeries | None = None) -> JointSeries | None:
         """Return the topic's table; None if it has no messages.
+
+        Args:
+            states: the recorded states, whose first positions and clock trajectories need.
 
         Raises:
             RecordingError: none of its messages can be decoded.
@@ -200,13 +217,13 @@ class TopicReader:
         self._refuse_wide(len(names))
         order = np.argsort(np.concatenate(self.order), kind="stable")
         log_time = np.concatenate(self.log_times)[order]
+        if self.schema in TRAJECTORIES:
+            return self._played(names, states)
         stamp = np.concatenate([batch.stamp for batch in self.batches])[order]
         tables = {name: table_of(self.batches, name, names, order) for name in QUANTITIES}
         carried = named_joints(self.batches, names, order)
         for name in QUANTITIES:
             note_not_finite(self.notes, self.topic, name, tables, names, carried)
-        if self.schema in TRAJECTORIES:
-            stamp, log_time, tables = self._as_setpoints(stamp, log_time, order, tables)
         if self.schema in ANY_QUANTITY:
             tables = self._of_one_quantity(tables)
             self._note_places(names)
@@ -216,37 +233,124 @@ class TopicReader:
             stamped=len(stamp) < 2 or bool(stamp.any()),
             stamp=self._usable_stamps(stamp, log_time),
             log_time=log_time,
-            **tables,
+            position=tables["position"],
+            velocity=tables["velocity"],
+            effort=tables["effort"],
         )
 
-    def _as_setpoints(
-        self,
-        stamp: Integers,
-        log_time: Integers,
-        order: Integers,
-        tables: dict[str, Floats | None],
-    ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
-        """Convert trajectories to setpoints; one without a stamp begins when it is received."""
-        zeros = [np.zeros(len(batch.rows), np.int64) for batch in self.batches]
-        after = np.concatenate(
-            [
-                zero if b.after is None else b.after
-                for b, zero in zip(self.batches, zeros, strict=True)
-            ]
-        )[order]
-        start = np.where(stamp == 0, log_time, stamp)
-        by_start = np.argsort(start, kind="stable")
-        start, log_time, after = start[by_start], log_time[by_start], after[by_start]
-        tables = {q: None if t is None else t[by_start] for q, t in tables.items()}
-        rows, time, tables = follow_trajectories(start, start + after, tables)
-        if not (stamp == 0).any():
-            return time, log_time[rows] + (time - start[rows]), tables
-        self.remarks.add(
-            self.topic,
-            f"{len(np.unique(log_time[stamp[by_start] == 0]))} trajectories without header.stamp "
-            "begin when the recorder received them",
+    def _played(self, names: tuple[str, ...], states: JointSeries | None) -> JointSeries:
+        """Convert trajectories to setpoints as their controller plays them.
+
+        Raises:
+            RecordingError: no trajectory has points.
+            LimitError: beyond ``limits.MCAP``.
+        """
+        if all(is_stop(batch) for batch in self.batches):
+            raise RecordingError(
+                STOP, path=self.path, where=self.topic, expected="a trajectory with points"
+            )
+        in_file = np.argsort([int(rows[0]) for rows in self.order], kind="stable").tolist()
+        batches = [self.batches[at] for at in in_file]
+        stamp = np.array([int(batch.stamp[0]) for batch in batches], dtype=np.int64)
+        received = np.array([int(self.log_times[at][0]) for at in in_file], dtype=np.int64)
+        offset = _log_after_stamp(states)
+        unset = stamp == 0
+        start = np.where(unset, received, stamp)
+        if offset is not None and abs(offset) > _OTHER_CLOCK * 1e9 and not unset.all():
+            start = np.where(unset, received - offset, stamp)
+        self._remark_starts(start, received, unset, offset)
+        messages = [
+            TrajectoryMessage(
+                batch.names,
+                begin,
+                np.zeros(0, np.int64) if is_stop(batch) or batch.after is None else batch.after,
+                batch.values,
+                batch.acceleration,
+            )
+            for batch, begin in zip(batches, start.tolist(), strict=True)
+        ]
+        try:
+            played = play(messages, names, _first_positions(states), limits.MCAP.samples_count)
+        except TooManySetpointsError:
+            raise LimitError(
+                "too many samples of the curves of trajectories",
+                path=self.path,
+                where=self.topic,
+                expected=f"at most {limits.MCAP.samples_count}",
+            ) from None
+        self._remark_courses(messages, played, states)
+        # A message may be sent long before its start, so that its own log time shows no offset.
+        late = received - start if offset is None else np.where(unset, received - start, offset)
+        log_time = played.time + late[played.message]
+        return JointSeries(
+            topic=self.topic,
+            names=names,
+            stamped=True,
+            from_trajectories=True,
+            stamp=self._usable_stamps(played.time, log_time),
+            log_time=log_time,
+            position=played.values["position"],
+            velocity=played.values["velocity"],
+            effort=played.values["effort"],
         )
-        return time, log_time[rows] + (time - start[rows]), tables
+
+    def _remark_starts(
+        self,
+        start: Integers,
+        received: Integers,
+        unset: NDArray[np.bool_],
+        offset: int | None,
+    ) -> None:
+        if unset.any():
+            self.remarks.add(
+                self.topic,
+                f"{int(unset.sum())} trajectories without header.stamp begin when the recorder "
+                "received them",
+            )
+        if offset is None or unset.all():
+            return
+        late = (received - start - offset)[~unset] * 1e-9
+        if (late > _LATE).any():
+            self.remarks.add(
+                self.topic,
+                f"{int((late > _LATE).sum())} trajectories arrived after their header.stamp, by up "
+                f"to {late.max():.4g} s: they are taken to begin at the stamp",
+            )
+
+    def _remark_courses(
+        self, messages: list[TrajectoryMessage], played: Setpoints, states: JointSeries | None
+    ) -> None:
+        stops = sum(not len(message.after) for message in messages)
+        if stops:
+            self.remarks.add(
+                self.topic,
+                f"{stops} trajectories without points are taken as a stop: the joints hold their "
+                "setpoint",
+            )
+        if played.overtaken:
+            self.remarks.add(
+                self.topic,
+                f"{played.overtaken} trajectories leave out joints that are still moving: these "
+                "are taken to finish their trajectory (allow_trajectory_replacement)",
+            )
+        if played.from_unknown:
+            self.remarks.add(
+                self.topic,
+                f"{played.from_unknown} trajectories begin at a setpoint that is not recorded: the "
+                "first point is taken to hold until its time",
+            )
+        if not played.from_first_state:
+            return
+        begin = next(message.start for message in messages if len(message.after))
+        said = "the first trajectory begins at the position of the first state"
+        moved = _moved_before(states, begin)
+        if moved:
+            joint, distance = moved
+            said += (
+                f", but {joint} moved by {distance:.4g} rad or m before it: its setpoint there is "
+                "not recorded"
+            )
+        self.remarks.add(self.topic, said)
 
     def _of_one_quantity(self, tables: dict[str, Floats | None]) -> dict[str, Floats | None]:
         """Determine the quantity of the values from the topic's name."""
@@ -302,3 +406,35 @@ class TopicReader:
                 at = int(np.flatnonzero(bad)[0]) + 1
                 self.notes.add(self.topic, f"{int(bad.sum())} stamps {what}, first message {at}")
         return stamp
+
+
+def _log_after_stamp(states: JointSeries | None) -> int | None:
+    """Median time from stamp to log time of the states, ns; None where they have no stamps."""
+    if states is None or not states.stamped or (states.stamp == 0).all():
+        return None
+    return int(np.median(states.log_time - states.stamp))
+
+
+def _first_positions(states: JointSeries | None) -> dict[str, float]:
+    """Joint -> its first recorded position; later ones would be the result of the commands."""
+    if states is None or states.position is None:
+        return {}
+    return {
+        name: float(measured[0])
+        for name, column in zip(states.names, states.position.T, strict=True)
+        if (measured := column[np.isfinite(column)]).size
+    }
+
+
+def _moved_before(states: JointSeries | None, begin: int) -> tuple[str, float] | None:
+    """Joint that moved most before a time (ns), and by how much; None where all rested."""
+    if states is None or states.position is None:
+        return None
+    before = states.position[states.stamp <= begin]
+    spans = {
+        name: float(np.ptp(measured))
+        for name, column in zip(states.names, before.T, strict=True)
+        if (measured := column[np.isfinite(column)]).size
+    }
+    joint = max(spans, key=lambda name: spans[name], default=None)
+    return None if joint is None or spans[joint] < _MOVED else (joint, spans[joint])

@@ -23,6 +23,8 @@ from pytest_twin.formats.ros_serialization import (
 
 POINT_FIELDS = {"position": "positions", "velocity": "velocities", "effort": "effort"}
 """Quantity -> field of a ``trajectory_msgs/msg/JointTrajectoryPoint``."""
+STOP = "no points: this commands a stop"
+_FIELDS = {**POINT_FIELDS, "acceleration": "accelerations"}
 
 
 def decode_trajectories(
@@ -49,11 +51,16 @@ def _decode(message: bytes, row: int, encoding: Encoding) -> Batch:
     for _ in range(count):
         position = cursor.doubles("positions")
         velocity = cursor.doubles("velocities")
-        cursor.doubles("accelerations")
+        acceleration = cursor.doubles("accelerations")
         effort = cursor.doubles("effort")
         sec, nanosec = cursor.integers("iI", "time_from_start")
         after.append(sec * 1_000_000_000 + nanosec)
-        places = {"position": position, "velocity": velocity, "effort": effort}
+        places = {
+            "position": position,
+            "velocity": velocity,
+            "effort": effort,
+            "acceleration": acceleration,
+        }
         points.append(
             {
                 quantity: _read(message, at, cursor.order, quantity, len(names))
@@ -87,8 +94,7 @@ def trajectory_from_json(found: Mapping[str, object], names: list[str], row: int
         raise MessageError("points is not a list of objects")
     after = [time_of(point.get("time_from_start"), "time_from_start")[0] for point in given]
     points = [
-        {q: values_of(point.get(f), f, len(names)) for q, f in POINT_FIELDS.items()}
-        for point in given
+        {q: values_of(point.get(f), f, len(names)) for q, f in _FIELDS.items()} for point in given
     ]
     stamp, bad = stamp_of(found.get("header"))
     return _batch(row, names, stamp, bool(bad), after, points)
@@ -102,79 +108,61 @@ def _batch(
     after: list[int],
     points: Sequence[Mapping[str, Floats | None]],
 ) -> Batch:
-    check_names(names)
+    if names or points:
+        check_names(names)
     if not points:
-        # ros2_control interprets a message without points as: stop and hold the current position.
-        raise MessageError("no points: this commands a stop, which is not a setpoint")
-    if any(later <= sooner for sooner, later in itertools.pairwise(after)):
-        raise MessageError("time_from_start does not increase")
-    if after[0] < 0:
-        raise MessageError("time_from_start is negative")
+        # A stop is one row without values.
+        points, after = [dict.fromkeys(_FIELDS)], [0]
+    else:
+        _check_points(points, after, names)
     if len(points) * len(names) > limits.MCAP.samples_count:
         raise MessageError("too many points")
     count, joints = len(points), len(names)
-    values: dict[str, Floats | None] = {}
-    for quantity in QUANTITIES:
+    tables: dict[str, Floats | None] = {}
+    for quantity in _FIELDS:
         rows = [point[quantity] for point in points]
         filled = [np.full((1, joints), np.nan) if one is None else one for one in rows]
         empty = all(one is None for one in rows)
-        values[quantity] = None if empty else np.concatenate(filled)
+        tables[quantity] = None if empty else np.concatenate(filled)
     return Batch(
         rows=np.full(count, row),
         names=tuple(names),
         stamp=np.full(count, stamp),
         bad_stamp=int(bad_stamp),
-        values=values,
+        values={quantity: tables[quantity] for quantity in QUANTITIES},
         after=np.array(after, dtype=np.int64),
+        acceleration=tables["acceleration"],
     )
 
 
-def follow_trajectories(
-    start: Integers, time: Integers, tables: Mapping[str, Floats | None]
-) -> tuple[Integers, Integers, dict[str, Floats | None]]:
-    """Return setpoints as a controller follows them: a new trajectory replaces the one before.
+def is_stop(batch: Batch) -> bool:
+    """Whether a message has no points, which stops its joints."""
+    return all(table is None for table in batch.values.values())
 
-    Where a trajectory is replaced, one setpoint is added: its value at that time, by linear
-    interpolation between its points, or its last point, which is held.
 
-    Args:
-        start: (n,) time at which each setpoint's trajectory begins, not decreasing, ns.
-        time: (n,) time of each setpoint, ns.
-        tables: quantity -> (n, j) setpoints.
+def _check_points(
+    points: Sequence[Mapping[str, Floats | None]], after: Sequence[int], names: Sequence[str]
+) -> None:
+    """Check what the controller checks before it accepts a trajectory.
 
-    Returns:
-        (m,) index of the setpoint of each row, (m,) time in ns, quantity -> (m, j) values.
+    Raises:
+        MessageError: the controller would refuse the trajectory, or a value is not finite.
     """
-    first = np.flatnonzero(np.concatenate([[True], np.diff(start) != 0]))
-    last = np.concatenate([first[1:], [len(start)]])
-    rows: list[int] = []
-    times: list[int] = []
-    reached: dict[int, tuple[int, float]] = {}
-    for index, (begin, end) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
-        follows = index + 1 < len(first)
-        until = int(start[first[index + 1]]) if follows else np.iinfo(np.int64).max
-        kept = begin + int(np.searchsorted(time[begin:end], until))
-        rows += range(begin, kept)
-        times += time[begin:kept].tolist()
-        if not follows or kept == begin:
-            continue
-        # A trajectory whose first point is at time zero steps to it.
-        edge = until - int(time[first[index + 1]] == until)
-        before = int(time[kept - 1])
-        if before < edge:
-            if kept < end:
-                share = (edge - before) / (int(time[kept]) - before)
-                reached[len(rows)] = (kept, share)
-            rows.append(kept - 1)
-            times.append(edge)
-    taken = np.array(rows, dtype=np.int64)
-    found: dict[str, Floats | None] = {}
-    for quantity, table in tables.items():
-        if table is None:
-            found[quantity] = None
-            continue
-        values = table[taken]
-        for row, (following, share) in reached.items():
-            values[row] += share * (table[following] - values[row])
-        found[quantity] = values
-    return taken, np.array(times, dtype=np.int64), found
+    if any(later <= sooner for sooner, later in itertools.pairwise(after)):
+        raise MessageError("time_from_start does not increase")
+    if after[0] < 0:
+        raise MessageError("time_from_start is negative")
+    given = [{q for q, values in point.items() if values is not None} for point in points]
+    for number, quantities in enumerate(given):
+        if not quantities & set(QUANTITIES):
+            raise MessageError(f"point {number} has no positions, velocities or effort")
+        if "position" in given[0] and "position" not in quantities:
+            raise MessageError(f"point {number} has no positions, the first point has")
+        if "position" in quantities and "position" not in given[0]:
+            raise MessageError(f"point {number} has positions, the first point has none")
+        if "acceleration" in quantities and "velocity" not in quantities:
+            raise MessageError(f"point {number} has accelerations without velocities")
+        for quantity, values in points[number].items():
+            if values is not None and not np.isfinite(values).all():
+                joint = names[int(np.flatnonzero(~np.isfinite(values[0]))[0])]
+                raise MessageError(f"{quantity} of {joint!r} in point {number} is not finite")

@@ -109,7 +109,8 @@ def choose_command_fields(
         columns.append(table[:, column])
         if asked is None and _are_equal(series, column, filled):
             unstated.add(joint)
-        rest = tuple(name for name in filled if name != mode)
+        used = {mode, "velocity"} if series.from_trajectories and mode == "position" else {mode}
+        rest = tuple(name for name in filled if name not in used)
         if rest:
             unused.setdefault((mode, rest, why), []).append(joint)
     if not joints:

@@ -60,12 +60,13 @@ def point(
     velocities: Sequence[float] = (),
     effort: Sequence[float] = (),
     after: int = 0,
+    accelerations: Sequence[float] = (),
 ) -> Any:
     sec, nanosec = divmod(after, 1_000_000_000)
     return _type("trajectory_msgs/msg/JointTrajectoryPoint")(
         np.array(positions, float),
         np.array(velocities, float),
-        np.array([], float),
+        np.array(accelerations, float),
         np.array(effort, float),
         _type("builtin_interfaces/msg/Duration")(sec, nanosec),
     )

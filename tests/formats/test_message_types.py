@@ -150,8 +150,8 @@ def test_a_new_trajectory_replaces_the_rest_of_the_previous_one(tmp_path: Path) 
     ]
     recording = read(tmp_path, bag(messages), command="/t")
     command = recording.series["command"]
-    assert ((command.stamp - START) // MS).tolist() == [100, 200, 250, 300]
-    np.testing.assert_allclose(command.position, [[1, -1], [2, -2], [2.5, -2.5], [9, -9]])
+    assert ((command.stamp - START) // MS).tolist() == [0, 100, 200, 250, 300]
+    np.testing.assert_allclose(command.position, [[1, -1], [1, -1], [2, -2], [2.5, -2.5], [9, -9]])
     assert ((command.log_time[:2] - START) % MS).tolist() == [7, 7]
     assert recording.metadata == {"command_between": "interpolated"}
 
@@ -175,7 +175,7 @@ def test_a_finished_trajectory_holds_its_last_point(tmp_path: Path) -> None:
 def test_a_trajectory_without_stamp_starts_at_its_log_time(tmp_path: Path) -> None:
     data = bag([("/t", ros.TRAJECTORY, START, ros.trajectory(0, JOINTS, points((10, 1.0))))])
     recording = read(tmp_path, data, command="/t")
-    assert recording.series["command"].stamp.tolist() == [START + 10 * MS]
+    assert recording.series["command"].stamp.tolist() == [START, START + 10 * MS]
     assert "1 trajectories without header.stamp begin when the recorder" in recording.notes[0]
 
 
@@ -184,7 +184,18 @@ def test_a_trajectory_without_stamp_starts_at_its_log_time(tmp_path: Path) -> No
     [
         ([], "no points: this commands a stop"),
         (points((20, 1.0), (10, 2.0)), "time_from_start does not increase"),
+        (points((10, 1.0), (10, 2.0)), "time_from_start does not increase"),
         ([ros.point([1.0], after=1)], "1 values of position for 2 joints"),
+        ([ros.point([1.0, np.inf], after=1)], "position of 'b' in point 0 is not finite"),
+        ([ros.point(after=1)], "point 0 has no positions, velocities or effort"),
+        (
+            [ros.point([1.0, 2.0], after=1), ros.point((), [1.0, 2.0], after=2)],
+            "point 1 has no positions, the first point has",
+        ),
+        (
+            [ros.point([1.0, 2.0], accelerations=[0.0, 0.0], after=1)],
+            "point 0 has accelerations without velocities",
+        ),
     ],
 )
 def test_an_invalid_trajectory_is_refused_with_the_reason(
@@ -262,7 +273,8 @@ def test_each_message_type_is_read_from_json(
     command = read(tmp_path, bag([("/c", kind, START, message)], "json"), command="/c")
     series = command.series["command"]
     assert series.names == JOINTS
-    np.testing.assert_array_equal(series.position, [position])
+    assert series.position is not None
+    np.testing.assert_array_equal(series.position[-1], position)
 
 
 def test_topics_that_are_not_read_are_listed_with_roles_and_joints(tmp_path: Path) -> None:
