@@ -111,8 +111,9 @@ def ranges(
     robots = VariedRobots(
         realization, patched, found.distribution.coordinates, found.bodies, MEMORY_BYTES
     )
+    compared: list[int] = []
     if checked.final:
-        robots.refuse_too_many(checked.final, count)
+        compared = robots.sample_counts(checked.final, count)
     noise = _noise(robots, checked)
     distribution, widening = _widen(found, checked, robots, noise, count, share, progress)
     document = _document(twin, realization, found, distribution, share, noise, checked)
@@ -130,6 +131,12 @@ def ranges(
         before = robots.steps, robots.seconds
         traces = robots.simulate(checked.final, draws, lambda done: progress(0.3 + 0.6 * done))
         steps, seconds = robots.steps - before[0], robots.seconds - before[1]
+        document["notes"] += [
+            f"{trial.name}: {samples} of {len(trial.time)} samples are compared, because those of "
+            f"{count} robots would not fit in memory"
+            for trial, samples in zip(checked.final, compared, strict=True)
+            if samples < len(trial.time)
+        ]
         envelopes = predict_envelopes(traces, noise, share, _SEED)
         document["check"] = assess(envelopes, share)
         document["envelopes"] = plot_data(envelopes)

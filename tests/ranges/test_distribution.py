@@ -73,6 +73,29 @@ def test_a_robot_with_mean_parameters_moves_like_the_replay_of_the_twin(tmp_path
     assert np.abs(traces.robots[0] - replayed).max() < 2e-6
 
 
+def test_robots_that_do_not_fit_in_memory_are_simulated_in_batches_at_fewer_samples(
+    tmp_path: Path,
+) -> None:
+    twin = load_twin(make_twin(tmp_path, [record(covariance())]))
+    record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
+    robot = load(twin.first_realization.file, twin=twin)
+    found = collect_uncertain_parameters(twin, robot, None)
+    final = [tmp_path / "a.mcap"]
+    trial = read_check_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
+    draws = found.distribution.draws(24, 5)
+    little, enough = (
+        VariedRobots(robot, None, found.distribution.coordinates, found.bodies, memory)
+        for memory in (2**19, 2**33)
+    )
+    (reduced,), (whole,) = (robots.simulate([trial], draws) for robots in (little, enough))
+    assert len(reduced.time) < len(whole.time) == len(trial.time)
+    columns = np.searchsorted(whole.time, reduced.time)
+    assert np.array_equal(whole.time[columns], reduced.time)
+    assert np.array_equal(whole.measured[columns], reduced.measured)
+    assert np.allclose(whole.robots[:, columns], reduced.robots, rtol=0.0, atol=1e-6)
+    assert little.steps == enough.steps
+
+
 def test_a_drawn_robot_moves_like_a_compiled_model_with_its_values(tmp_path: Path) -> None:
     """The model is compiled with the drawn mass, centre, inertia, friction and armature."""
     twin = load_twin(make_twin(tmp_path, [record(covariance())]))

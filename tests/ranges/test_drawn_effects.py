@@ -108,7 +108,9 @@ def test_a_drawn_robot_moves_like_a_twin_with_the_drawn_value(
     assert [one.name for one in found.distribution.coordinates] == [name], found.left_out
     (one,) = found.distribution.coordinates
     # What the time step adds is estimated at the twin's values, not at the drawn ones.
-    monkeypatch.setattr(VariedRobots, "_correction", lambda self, segment, joints: 0.0)
+    monkeypatch.setattr(
+        VariedRobots, "_correction", lambda self, segment, joints: np.zeros_like(segment.position)
+    )
     fleet = VariedRobots(robot, patched, found.distribution.coordinates, found.bodies, 2**32)
     # A factor or a field of the model is drawn as a whole.
     own = 1.0 if law.relation == "relative" else 0.0
