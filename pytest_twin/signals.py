@@ -30,6 +30,8 @@ class PositionSignal:
         unit: one of ``ANGLES``.
         source: ``measured`` by an encoder, or ``inferred`` from commands.
         filter, clock, rate: as the manufacturer states them, rate in Hz; stored, not used.
+        wrapped: whether the values of a revolute joint stay within one turn, such as -pi to pi;
+            None where the values decide.
     """
 
     side: Side = "output"
@@ -38,6 +40,7 @@ class PositionSignal:
     filter: str = ""
     clock: str = ""
     rate: float | None = None
+    wrapped: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from pytest_twin.recording_options import (
     CommandBetween,
     RecordingOptions,
 )
+from pytest_twin.signals import Signals
 from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
 from pytest_twin.trial.gaps import stretches
@@ -33,6 +34,7 @@ from pytest_twin.trial.table import (
     stamp_order,
 )
 from pytest_twin.trial.trial import Mark, Trial, stamps_of_densest_joint
+from pytest_twin.trial.wrapped_angles import TURN, AmbiguousTurnsError, JointMotion, unwrap
 from pytest_twin.words import list_names
 
 # Texts of readers about stamps.
@@ -113,7 +115,7 @@ def _whole(
     trials: list[Trial] = []
     since = 0.0
     for piece in clocked.pieces:
-        maker = _Maker(recording, structure, commanded)
+        maker = _Maker(recording, structure, commanded, options.signals)
         trial = maker.trial(*piece)
         own = (*notes, *maker.notes) if not trials else tuple(maker.notes)
         trials.append(
@@ -169,9 +171,14 @@ class _Maker:
     """Converts states and commands on one clock to one trial."""
 
     def __init__(
-        self, recording: Recording, structure: Structure | None, commanded: ChosenCommands
+        self,
+        recording: Recording,
+        structure: Structure | None,
+        commanded: ChosenCommands,
+        signals: Signals,
     ) -> None:
         self.recording, self.structure, self.commanded = recording, structure, commanded
+        self.signals = signals
         self.checks = RecordingChecks(recording.path, structure)
         topics = {series.topic for series in recording.series.values()}
         self.checks.marks += [
@@ -193,6 +200,14 @@ class _Maker:
         position = rows.fields["position"]
         assert position is not None
         command_time, command, own = self.commands(commands, start)
+        for column, joint in enumerate(joints):
+            self.checks.refuse_other_unit(joint, position[:, column], topic)
+        for at, (joint, mode) in enumerate(
+            zip(self.commanded.joints, self.commanded.modes, strict=True)
+        ):
+            if mode == "position":
+                self.checks.refuse_other_unit(joint, command[:, at], commands.series.topic)
+        self.unwrap(topic, joints, time, position, command_time, command)
         self.note_twice(topic, time)
         self.note_twice(commands.series.topic, command_time)
         self.checks.note_gaps(stamps_of_densest_joint(time, np.isfinite(position)), topic)
@@ -351,6 +366,52 @@ class _Maker:
                     "no command, the last one holds",
                 )  # fmt: skip
         return time, kept_commands(table), None if own.all() else own
+
+    def unwrap(
+        self,
+        topic: str,
+        joints: tuple[str, ...],
+        time: FloatArray,
+        position: FloatArray,
+        command_time: FloatArray,
+        command: FloatArray,
+    ) -> None:
+        """Unwrap positions and position commands of revolute joints in place.
+
+        Raises:
+            RecordingError: the number of turns cannot be determined.
+        """
+        if self.structure is None:
+            return
+        for column, joint in enumerate(joints):
+            signal = self.signals.of(joint)
+            wrapped = signal.position.wrapped
+            if self.structure.joint_type.get(joint) != "hinge" or wrapped is False:
+                continue
+            seen = np.isfinite(position[:, column])
+            at = self.commanded.joints.index(joint) if joint in self.commanded.joints else None
+            sent = at is not None and self.commanded.modes[at] == "position"
+            motion = JointMotion(
+                time[seen],
+                position[seen, column],
+                command_time if sent else command_time[:0],
+                command[:, at] if sent else command_time[:0],
+            )
+            turn = TURN / abs(signal.gear) if signal.position.side == "motor" else TURN
+            try:
+                found = unwrap(motion, self.structure.joint_range.get(joint), turn, wrapped)
+            except AmbiguousTurnsError as error:
+                raise self.checks.error(
+                    "positions are recorded within one turn, and its number is not known",
+                    f"{topic} joint '{joint}'", value=str(error),
+                    expected="a recording of angles beyond a turn or at a higher rate; or in "
+                    f"twin.yaml signals: {{joints: {{{joint}: {{position: {{wrapped: true}}}}}}}} "
+                    "(the shorter way), wrapped: false (as recorded)",
+                ) from None  # fmt: skip
+            position[seen, column] = found.position
+            if sent:
+                command[:, at] = found.command
+            self.notes += [f"{topic}: {joint}: {note}" for note in found.notes]
 
     def mark_positions(
         self, joint: str, position: FloatArray, time: FloatArray, topic: str

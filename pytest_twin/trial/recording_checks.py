@@ -130,37 +130,48 @@ class RecordingChecks:
                 f"no message for {time[at + 1] - time[at]:.4g} s, usually {usual:.4g} s",
             )  # fmt: skip
 
-    def within_range(self, joint: str, values: FloatArray, time: FloatArray, topic: str) -> None:
-        """Mark positions outside the joint's range.
+    def limits_of(self, joint: str) -> tuple[float, float] | None:
+        """Range of a joint in the model, rad or m; None without a model or a range."""
+        return None if self.structure is None else self.structure.joint_range.get(joint)
+
+    def refuse_other_unit(self, joint: str, values: FloatArray, topic: str) -> None:
+        """Refuse positions that are so far outside the joint's range that they have another unit.
 
         Raises:
-            RecordingError: the positions are so far outside that they have another unit.
+            RecordingError: they are.
         """
-        limits = None if self.structure is None else self.structure.joint_range.get(joint)
-        if limits is None or not len(values):
+        limits = self.limits_of(joint)
+        finite = np.abs(values[np.isfinite(values)])
+        if limits is None or not finite.size:
             return
-        lower, upper = limits
-        reach = max(abs(lower), abs(upper))
+        reach, largest = max(map(abs, limits)), float(finite.max())
+        if largest <= _BEYOND_RANGE * reach:
+            return
         unit = self.unit(joint, "position")
-        largest = float(np.abs(values).max())
-        said = f"the model's range, {lower:.4g} to {upper:.4g} {unit}"
-        if largest > _BEYOND_RANGE * reach:
-            guess = ""
-            if unit == "rad":
-                degrees = largest * np.pi / 180.0 <= 2.0 * reach
-                guess = ", as if in degrees" if degrees else ", as if in encoder counts"
-                if reach < _SMALL_RANGE:
-                    guess += ", or the model's range is in another unit (compiler angle)"
-            elif largest * 1e-3 <= 2.0 * reach:
-                guess = ", as if in mm"
-            raise self.error(
-                f"positions far beyond the joint's range{guess}",
-                f"{topic} joint '{joint}'",
-                value=f"{largest:.6g}",
-                unit=unit,
-                expected=said,
-            )
-        beyond = np.flatnonzero((values < lower) | (values > upper))
+        guess = way_out = ""
+        if unit == "rad":
+            degrees = largest * np.pi / 180.0 <= 2.0 * reach
+            guess = ", as if in degrees" if degrees else ", as if in encoder counts"
+            way_out = "; --units deg reads degrees" if degrees else ""
+            if reach < _SMALL_RANGE:
+                guess += ", or the model's range is in another unit (compiler angle)"
+        elif largest * 1e-3 <= 2.0 * reach:
+            guess = ", as if in mm"
+        raise self.error(
+            f"positions far beyond the joint's range{guess}",
+            f"{topic} joint '{joint}'",
+            value=f"{largest:.6g}",
+            unit=unit,
+            expected=f"{_range_in_words(limits, unit)}{way_out}",
+        )
+
+    def within_range(self, joint: str, values: FloatArray, time: FloatArray, topic: str) -> None:
+        """Mark positions outside the joint's range."""
+        limits = self.limits_of(joint)
+        if limits is None:
+            return
+        beyond = np.flatnonzero((values < limits[0]) | (values > limits[1]))
+        said = _range_in_words(limits, self.unit(joint, "position"))
         self.mark_runs("beyond_range", topic, joint, time, beyond, f"outside {said}")
 
     def note_outliers(self, joint: str, position: FloatArray, time: FloatArray, topic: str) -> None:
@@ -288,3 +299,7 @@ class RecordingChecks:
                     f"stays at {position[begin]:.6g} {self.unit(joint, 'position')} while "
                     "its command moves",
                 )  # fmt: skip
+
+
+def _range_in_words(limits: tuple[float, float], unit: str) -> str:
+    return f"the model's range, {limits[0]:.4g} to {limits[1]:.4g} {unit}"

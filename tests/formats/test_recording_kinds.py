@@ -317,3 +317,24 @@ def test_a_bag_with_one_message_is_read(tmp_path: Path) -> None:
     assert recording.series["state"].position is not None
     assert recording.series["state"].position.tolist() == [[1.0, 2.0]]
     assert set(recording.series) == {"state"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("name: /joint_states", "name: []", "topic_metadata.name: not the metadata of a topic"),
+        ("message_count: 40", "message_count: {}", "message_count: not the metadata of a topic"),
+    ],
+)
+def test_a_topic_of_invalid_bag_metadata_is_refused_with_its_place(
+    tmp_path: Path, old: str, new: str, place: str
+) -> None:
+    folder = write_bag(tmp_path / "bag", MESSAGES)
+    metadata = folder / "metadata.yaml"
+    head, separator, counts = metadata.read_text().partition("topics_with_message_count:")
+    assert old in counts
+    metadata.write_text(head + separator + counts.replace(old, new))
+    with pytest.raises(FormatError) as caught:
+        read_one(folder)
+    assert caught.value.path == metadata
+    assert place in str(caught.value)

@@ -228,7 +228,8 @@ ERRORS: dict[str, tuple[Callable[[], Recording], str]] = {
     "degrees": (
         lambda: clean_recording(position=np.rad2deg(np.tile([[0.9, 0.001]], (200, 1)))),
         "made.mcap: /joint_states joint 'pan': positions far beyond the joint's range, as if in "
-        "degrees (got '51.5662' rad; expected the model's range, -1.5 to 1.5 rad)",
+        "degrees (got '51.5662' rad; expected the model's range, -1.5 to 1.5 rad; --units deg "
+        "reads degrees)",
     ),
     "encoder counts": (
         lambda: clean_recording(command={"position": np.tile([[2048.0, 0.1]], (200, 1))}),

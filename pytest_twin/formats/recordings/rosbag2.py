@@ -64,7 +64,7 @@ class Rosbag2Folder:
                 gather_sqlite(file, collector)
             else:
                 gather_mcap(file, collector)
-        _compare(information, collector)
+        _compare(path / METADATA, information, collector)
 
 
 def _information(path: Path) -> Mapping[str, Any]:
@@ -136,18 +136,37 @@ def _custom_data(information: Mapping[str, Any]) -> dict[str, str]:
     return {str(key): str(value) for key, value in found.items()}
 
 
-def _compare(information: Mapping[str, Any], collector: MessageCollector) -> None:
-    """Note topics whose number of messages differs from the number in ``metadata.yaml``."""
-    stated = information.get("topics_with_message_count")
+def _compare(file: Path, information: Mapping[str, Any], collector: MessageCollector) -> None:
+    """Note topics whose number of messages differs from the number in ``metadata.yaml``.
+
+    Raises:
+        FormatError: a topic has no name, or its count is no whole number.
+    """
+    counts = information.get("topics_with_message_count", [])
+    where = f"{_INFORMATION}.topics_with_message_count"
+    if not isinstance(counts, list):
+        raise FormatError(
+            "not a list of topics", path=file, where=where, value=str(counts)[:80],
+            expected="topic_metadata and message_count for each topic",
+        )  # fmt: skip
     wanted = {reader.topic for reader in collector.readers.values()}
-    for one in stated if isinstance(stated, list) else ():
-        topic = one.get("topic_metadata") if isinstance(one, dict) else None
+    for at, entry in enumerate(counts):
+        topic = entry.get("topic_metadata") if isinstance(entry, dict) else None
         name = topic.get("name") if isinstance(topic, dict) else None
+        stated = entry.get("message_count") if isinstance(entry, dict) else None
+        for key, value, kind in (
+            ("topic_metadata.name", name, str),
+            ("message_count", stated, int),
+        ):
+            if type(value) is not kind:
+                raise FormatError(
+                    "not the metadata of a topic", path=file, where=f"{where}[{at}].{key}",
+                    value=str(value)[:80],
+                    expected="the topic's name" if kind is str else "a whole number",
+                )  # fmt: skip
         if name not in wanted:
             continue
         known = collector.topics.get(name)
         read = 0 if known is None else known.messages
-        if one.get("message_count") != read:
-            collector.notes.add(
-                str(name), f"{read} of {one.get('message_count')} messages that {METADATA} counts"
-            )
+        if stated != read:
+            collector.notes.add(name, f"{read} of {stated} messages that {METADATA} counts")
