@@ -233,7 +233,7 @@ class VariedRobots:
         return add_step_error(coarse, step_error(coarse, fine)).position - coarse.position
 
     def _models(self, model: mujoco.MjModel, draws: FloatArray) -> list[mujoco.MjModel]:
-        """Return a model for each robot; the batch computes dependent constants."""
+        """Return a model for each robot, with the constants that depend on its values."""
         models = [copy.copy(model) for _ in draws]
         for column, one in enumerate(self.coordinates):
             if one.field is not None and one.joint is not None:
@@ -247,6 +247,10 @@ class VariedRobots:
             x = np.zeros((len(draws), 10))
             x[:, [self.coordinates[k].index for k in columns]] = draws[:, columns]
             write_bodies(models, body, x)
+        # A batch of several models computes these constants, a batch of one does not.
+        data = mujoco.MjData(model)
+        for changed in models:
+            mujoco.mj_setConst(changed, data)
         return models
 
     def _limit_efforts(
