@@ -127,7 +127,9 @@ def _write_diagnosis(
         staging = Path(scratch) / "diagnosis"
         staging.mkdir()
         # A separate process, because MuJoCo writes its log into the working directory.
-        with Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox:
+        with Sandbox(
+            seconds=_SECONDS, cwd=Path(scratch), untrusted=gate.runner.untrusted
+        ) as sandbox:
             said = sandbox.call(
                 "pytest_twin.gate.worker:diagnose",
                 {

@@ -35,11 +35,20 @@ class Runner:
         seconds: limit of the wall time of one golden, s.
         confine: whether the child may read only the twin's folders and Python's files, and write
             only into a temporary folder.
+        untrusted: folders from which no child imports modules, such as the root folder of pytest;
+            the twin's folder is always one of them.
     """
 
-    def __init__(self, seconds: float = SECONDS, *, confine: bool = False) -> None:
+    def __init__(
+        self,
+        seconds: float = SECONDS,
+        *,
+        confine: bool = False,
+        untrusted: tuple[Path, ...] = (),
+    ) -> None:
         self.seconds = seconds
         self.confine = confine
+        self.untrusted = untrusted
         self.unsaved_plots: dict[Path, str] = {}
         """Root of a twin -> error that prevented its first plot from being saved."""
         self._children: dict[Path, Sandbox] = {}
@@ -49,7 +58,10 @@ class Runner:
         if twin.root not in self._children:
             roots = (twin.root, *twin.roots.values()) if self.confine else None
             self._children[twin.root] = Sandbox(
-                seconds=self.seconds, cwd=twin.root, confined_to=roots
+                seconds=self.seconds,
+                cwd=twin.root,
+                confined_to=roots,
+                untrusted=self.untrusted,
             )
         return self._children[twin.root]
 

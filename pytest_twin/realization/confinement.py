@@ -55,20 +55,25 @@ def why_not_confined() -> str | None:
 
 
 def confined_command(
-    command: Iterable[str], read: Iterable[Path], scratch: Path, write: Iterable[Path] = ()
+    command: Iterable[str],
+    imports: Iterable[str],
+    read: Iterable[Path],
+    scratch: Path,
+    write: Iterable[Path] = (),
 ) -> list[str]:
     """Command that runs ``command`` with restricted access.
 
     Args:
         command: path of a program, and its arguments.
+        imports: its import path, which it may read.
         read: folders and files that it may read in addition to those of Python and the system.
         scratch: folder that it may write.
         write: further folders that it may write.
     """
     home = Path.home().resolve()
-    # `python -m pytest` in the home folder puts the whole folder on the import path.
-    imports = [p for p in sys.path if p and not home.is_relative_to(Path(p).resolve())]
-    readable = [*_SYSTEM, sys.prefix, sys.base_prefix, *imports, *map(str, read)]
+    # An import path that names the home folder must not open all of it.
+    imported = [entry for entry in imports if not home.is_relative_to(Path(entry).resolve())]
+    readable = [*_SYSTEM, sys.prefix, sys.base_prefix, *imported, *map(str, read)]
     # -P: a module in the working directory does not replace an installed one.
     start = [sys.executable, "-P", "-m", __name__, str(scratch), *map(str, write)]
     return [*start, "--", *dict.fromkeys(readable), "--", *command]

@@ -25,6 +25,7 @@ from typing import Any, Self
 from pytest_twin import errors
 from pytest_twin.errors import LimitError, SimulationError, TwinError
 from pytest_twin.realization.confinement import confined_command, confined_environment
+from pytest_twin.realization.import_path import import_path
 
 MEMORY_BYTES = 8 * 2**30
 """Default of the child's memory limit."""
@@ -52,6 +53,8 @@ class Sandbox:
             write only its temporary folder and those in ``write``. None for a child with the
             user's rights.
         write: further folders that a confined child may write.
+        untrusted: folders from which the child imports no module, in addition to those that
+            :func:`~pytest_twin.realization.import_path.import_path` leaves out.
     """
 
     def __init__(
@@ -62,10 +65,12 @@ class Sandbox:
         cwd: Path | None = None,
         confined_to: Collection[Path] | None = None,
         write: Collection[Path] = (),
+        untrusted: Collection[Path] = (),
     ) -> None:
         self.memory_bytes = memory_bytes
         self.confined_to = confined_to
         self.write = write
+        self.untrusted = untrusted
         self.seconds = seconds
         self.cwd = cwd
         self._lock = threading.Lock()
@@ -110,12 +115,11 @@ class Sandbox:
         with self._lock:
             self._output = b""
             if self._child is None:
-                self._child = _Child(self.memory_bytes, self.cwd, self.confined_to, self.write)
+                self._child = _Child(self)
             request = {
                 "function": function,
                 "arguments": dict(arguments or {}),
                 "seconds": bound,
-                "path": [entry for entry in sys.path if entry],
             }
             try:
                 answer = self._exchange(self._child, request, bound, progress, tell)
@@ -242,33 +246,33 @@ def _complete_answers(buffer: bytearray) -> list[dict[str, Any]]:
 class _Child:
     """One interpreter and the pipes to it."""
 
-    def __init__(
-        self,
-        memory_bytes: int,
-        cwd: Path | None,
-        confined_to: Collection[Path] | None,
-        write: Collection[Path],
-    ) -> None:
+    def __init__(self, sandbox: Sandbox) -> None:
         request_read, self.requests = os.pipe()
         self.answers, answer_write = os.pipe()
         self.output, output_write = os.pipe()
         environment = dict(os.environ)
-        environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
+        cwd = sandbox.cwd
+        imports = import_path((*sandbox.untrusted, *([] if cwd is None else [cwd])))
+        # An entry with a separator in its name would be taken for two. Python itself adds the
+        # folders of installed distributions again.
+        environment["PYTHONPATH"] = os.pathsep.join(e for e in imports if os.pathsep not in e)
         # The forks use all cores, and sums in several threads depend on the number of threads.
         environment.setdefault("OPENBLAS_NUM_THREADS", "1")
         command = [
             sys.executable,
+            # No module of the working folder; -I would ignore PYTHONPATH, and so ROS overlays.
+            "-P",
             "-m",
             "pytest_twin.realization.sandbox_child",
             str(request_read),
             str(answer_write),
-            str(memory_bytes),
+            str(sandbox.memory_bytes),
         ]
         scratch = None
-        if confined_to is not None:
+        if sandbox.confined_to is not None:
             scratch = tempfile.TemporaryDirectory(prefix="twin-", ignore_cleanup_errors=True)
             place = Path(scratch.name)
-            command = confined_command(command, confined_to, place, write)
+            command = confined_command(command, imports, sandbox.confined_to, place, sandbox.write)
             environment = confined_environment(environment, place)
         try:
             self.process = subprocess.Popen(

@@ -54,7 +54,7 @@ class TwinSession:
         self.gates: dict[Path, Gate] = {}
         self.broken: dict[Path, TwinError] = {}
         self.reported_broken: set[Path] = set()
-        self.runner = Runner(options.seconds, confine=options.confine)
+        self.runner = Runner(options.seconds, confine=options.confine, untrusted=(config.rootpath,))
         self.progress = ProgressLine(config)
         self.failures: list[str] = []
         self.collection_errors: list[str] = []

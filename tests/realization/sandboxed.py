@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import sys
@@ -105,3 +106,7 @@ def load_text(text: str, folder: str, suffix: str) -> tuple[str, str | None] | N
     except TwinError as error:
         return str(error), None if error.path is None else str(error.path)
     return None
+
+
+def files_of_modules(names: list[str]) -> dict[str, str | None]:
+    return {name: importlib.import_module(name).__file__ for name in names}

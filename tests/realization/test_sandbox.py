@@ -48,11 +48,13 @@ def test_a_typed_error_keeps_all_its_fields(sandbox: Sandbox) -> None:
     assert str(caught.value) == "/a/b.xml:3:2: x: bad (got 1.5 kg; expected more)"
 
 
-def test_an_untyped_error_is_reported_with_its_file(sandbox: Sandbox) -> None:
+def test_an_untyped_error_is_reported_with_its_file(
+    sandbox: Sandbox, importable_functions: Path
+) -> None:
     with pytest.raises(SimulationError) as caught:
         sandbox.call("sandboxed:raise_value_error")
     error = caught.value
-    assert error.path == Path(__file__).parent / "sandboxed.py"
+    assert error.path == importable_functions / "sandboxed.py"
     assert "\n" not in str(error)
     assert "ValueError: a user's own mistake" in str(error)
     assert "Traceback" in sandbox.output
@@ -143,8 +145,8 @@ def test_linear_algebra_uses_one_thread_unless_configured_otherwise(
     assert told == taken
 
 
-def test_the_child_ends_with_its_parent() -> None:
-    folder = str(Path(__file__).parent)
+def test_the_child_ends_with_its_parent(importable_functions: Path) -> None:
+    folder = str(importable_functions)
     script = (
         f"import os, sys; sys.path.insert(0, {folder!r})\n"
         "from pytest_twin.realization import Sandbox\n"
@@ -177,14 +179,14 @@ def _alive(group: int) -> list[int]:
 
 
 @pytest.mark.parametrize("call", ["spin", "spin_in_forks"])
-def test_a_long_call_ends_when_the_parent_is_killed(call: str) -> None:
+def test_a_long_call_ends_when_the_parent_is_killed(call: str, importable_functions: Path) -> None:
     program = (
         "from pytest_twin.realization.sandbox import Sandbox\n"
         "sandbox = Sandbox()\n"
         "print(sandbox.call('sandboxed:process'), flush=True)\n"
         f"sandbox.call('sandboxed:{call}', seconds=600)\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    environment = {**os.environ, "PYTHONPATH": str(importable_functions)}
     parent = subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, env=environment
     )
