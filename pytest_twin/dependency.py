@@ -89,6 +89,7 @@ class Structure:
         body_meshes: collision body -> part ids of the meshes and height fields of its geoms.
         geom_body: named geom -> body.
         joint_inputs: joint -> commands that its actuators take: position, velocity, effort.
+        leaders: joint -> joint that it follows by an equality or mimic.
     """
 
     realization: str
@@ -110,6 +111,7 @@ class Structure:
     body_meshes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     geom_body: Mapping[str, str] = field(default_factory=dict)
     joint_inputs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    leaders: Mapping[str, str] = field(default_factory=dict)
     _cache: dict[object, frozenset[str]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -430,6 +432,7 @@ class Structure:
             body_meshes=_lists(table["body_meshes"]),
             geom_body=_strings(table["geom_body"], str),
             joint_inputs=_lists(table["joint_inputs"]),
+            leaders=_strings(table["leaders"], str),
         )
 
 

@@ -169,10 +169,9 @@ def _commands_at_states(
     """
     if "command" not in recording.series:
         return {}, []
-    inputs = realization.structure.joint_inputs
     try:
         commands = _commands_or_states(recording, "command", realization, topics, options)
-        commanded = choose_command_fields(commands, inputs, options, recording.path)
+        commanded = choose_command_fields(commands, realization.structure, options, recording.path)
     except RecordingError as error:
         if not _measures(states):
             raise

@@ -105,7 +105,8 @@ def holding_controls(
     """(nu,) controls with which position servos hold the joints that have no recorded command.
 
     The command of such a servo is unknown, but it holds the joint. Its setpoint is the position
-    of the joint plus the deflection of the servo under the load. Other controls are zero.
+    of the joint plus the deflection of the servo under the load. A servo of a tendon holds the
+    tendon's length. Other controls are zero.
 
     Args:
         model: the model with its servos.
@@ -126,7 +127,30 @@ def holding_controls(
             position += (float(load[model.jnt_dofadr[joint]]) - constant) / stiffness
         for servo in servos:
             control[servo.control] = servo.scale * position
+    for actuator in range(model.nactuator):
+        setpoint = _tendon_setpoint(model, data, actuator)
+        if setpoint is not None:
+            control[model.actuator_ctrladr[actuator]] = setpoint
     return control
+
+
+def _tendon_setpoint(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> float | None:
+    """Control with which a linear servo of a tendon exerts no force; None for other actuators."""
+    if (
+        int(model.actuator_trntype[actuator]) != int(mujoco.mjtTrn.mjTRN_TENDON)
+        or int(model.actuator_gaintype[actuator]) != LINEAR_GAINS[0]
+        or int(model.actuator_dyntype[actuator]) != int(mujoco.mjtDyn.mjDYN_NONE)
+    ):
+        return None
+    gain = float(model.actuator_gainprm[actuator, 0])
+    constant, slope = (float(b) for b in model.actuator_biasprm[actuator, :2])
+    if gain == 0.0 or slope == 0.0:
+        return None
+    moved = mujoco.MjData(model)
+    moved.qpos[:] = data.qpos
+    mujoco.mj_fwdPosition(model, moved)
+    length = float(moved.actuator_length[model.actuator_outadr[actuator]])
+    return -(constant + slope * length) / gain
 
 
 def _load_at_rest(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.recording_options import COMMAND_MODES, CommandMode, RecordingOptions
@@ -47,7 +48,7 @@ class ChosenCommands:
 
 def choose_command_fields(
     series: JointSeries,
-    inputs: Mapping[str, Sequence[str]] | None,
+    structure: Structure | None,
     options: RecordingOptions,
     path: Path,
 ) -> ChosenCommands:
@@ -55,10 +56,11 @@ def choose_command_fields(
 
     The choice is the declared ``command_mode``, or the only filled field. Of several filled fields,
     it is the one that the model's actuator takes as input, or the only one that is not always zero.
+    Joints without an actuator that takes their commands are left out, if other joints have one.
 
     Args:
         series: series of the command topic, with the model's joint names.
-        inputs: joint -> command modes of its actuators in the model; None without a model.
+        structure: structure of the model; None without a model.
         options: options that a user declared.
         path: path of the recording, for errors.
 
@@ -79,7 +81,8 @@ def choose_command_fields(
                     "command_mode names a joint that is not commanded",
                     path=path, where=series.topic, value=joint, expected=list_names(series.names),
                 )  # fmt: skip
-    unfit = _fields_without_actuator(series, inputs or {}, options)
+    inputs = {} if structure is None else structure.joint_inputs
+    unfit = {} if structure is None else _fields_without_actuator(series, structure, options)
     for column, joint in enumerate(series.names):
         filled = _filled_modes(series, column)
         asked = options.mode_of(joint)
@@ -95,8 +98,8 @@ def choose_command_fields(
         if not filled:
             never.append(joint)
             continue
-        takes = () if inputs is None else tuple(inputs.get(joint, ()))
-        if asked is None and joint in unfit:
+        takes = tuple(inputs.get(joint, ()))
+        if joint in unfit:
             continue
         mode, why = (
             (asked, "as declared") if asked else _chosen_modes(series, column, filled, takes)
@@ -127,9 +130,8 @@ def choose_command_fields(
         for (mode, rest, why), names in unused.items()
     ]
     notes += [
-        f"{series.topic}: {' and '.join(fields)} commands of {joint!r} are not used, the model has "
-        f"{_ACTUATORS[(inputs or {})[joint][0]]} there, which is taken to hold the joint"
-        for joint, fields in unfit.items()
+        f"{series.topic}: {' and '.join(fields)} commands of {joint!r} are not used, {why}"
+        for joint, (fields, why) in unfit.items()
     ]
     return ChosenCommands(
         tuple(joints), tuple(modes), np.stack(columns, axis=1), tuple(never), tuple(notes),
@@ -152,24 +154,57 @@ def _are_equal(series: JointSeries, column: int, filled: Sequence[CommandMode]) 
 
 
 def _fields_without_actuator(
-    series: JointSeries, inputs: Mapping[str, Sequence[str]], options: RecordingOptions
-) -> dict[str, tuple[CommandMode, ...]]:
-    """Joint -> filled command fields, where the joint's actuators take none of them.
+    series: JointSeries, structure: Structure, options: RecordingOptions
+) -> dict[str, tuple[tuple[CommandMode, ...], str]]:
+    """Joint -> filled command fields and why none is used: no actuator of the joint takes it.
 
     The result is empty if that is so for all joints: then the model has other actuators, which is
     reported when it is simulated.
     """
-    found: dict[str, tuple[CommandMode, ...]] = {}
+    by_joint = isinstance(options.command_mode, Mapping)
+    found: dict[str, tuple[tuple[CommandMode, ...], str]] = {}
     others = 0
     for column, joint in enumerate(series.names):
-        filled, takes = _filled_modes(series, column), inputs.get(joint, ())
+        filled, takes = _filled_modes(series, column), structure.joint_inputs.get(joint, ())
+        asked = options.mode_of(joint)
         if not filled:
             continue
-        if takes and not set(filled) & set(takes) and options.mode_of(joint) is None:
-            found[joint] = filled
+        usable = bool(takes and (asked or set(filled) & set(takes)))
+        others += usable
+        if usable or (by_joint and asked):
+            continue
+        if takes:
+            found[joint] = (
+                filled,
+                f"the model has {_ACTUATORS[takes[0]]} there, which is taken to hold the joint",
+            )
+        elif joint in structure.leaders or not _acts_as_effort(series, column, filled, asked):
+            found[joint] = (filled, _why_without_actuator(structure, joint))
         else:
             others += 1
     return found if others else {}
+
+
+def _acts_as_effort(
+    series: JointSeries,
+    column: int,
+    filled: tuple[CommandMode, ...],
+    asked: CommandMode | None,
+) -> bool:
+    """Whether the commands of a joint without an actuator are efforts, which act on the joint."""
+    return (asked or _chosen_modes(series, column, filled, ())[0]) == "effort"
+
+
+def _why_without_actuator(structure: Structure, joint: str) -> str:
+    if joint in structure.leaders:
+        return f"in the model it has no actuator: it follows {structure.leaders[joint]!r}"
+    drivers = [name for name, driven in structure.actuator_joints.items() if joint in driven]
+    if drivers:
+        return (
+            f"in the model it has no actuator of its own: {drivers[0]!r} moves it with other "
+            "joints, and its command is not recorded"
+        )
+    return "in the model it has no actuator and moves freely"
 
 
 def _chosen_modes(

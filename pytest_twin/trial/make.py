@@ -107,8 +107,7 @@ def _whole(
     states, converted = states_at_joints(states, options.signals, recording.path)
     notes += converted
     clocked = on_one_clock(states, commands, options.clock, recording.path)
-    inputs = None if structure is None else structure.joint_inputs
-    commanded = choose_command_fields(commands, inputs, options, recording.path)
+    commanded = choose_command_fields(commands, structure, options, recording.path)
     commanded = commands_at_joints(commanded, options.signals, commands.topic, recording.path)
     notes += [*clocked.notes, *commanded.notes]
     between, source = _between(recording, options)

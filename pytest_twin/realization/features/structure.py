@@ -28,6 +28,7 @@ def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> 
 
     couplings: dict[str, tuple[str, ...]] = {}
     equalities, loops = set(), set()
+    leaders: dict[str, str] = {}
     for eq in range(model.neq):
         obj, ends = elements.equality_ends(eq)
         part = f"{name}/coupling:{elements.equality[eq]}"
@@ -35,6 +36,9 @@ def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> 
         equalities.add(part)
         if int(model.eq_type[eq]) != int(mujoco.mjtEq.mjEQ_JOINT):
             loops.add(part)
+        elif len(ends) == 2 and model.eq_active0[eq]:
+            follower, leader = ends
+            leaders[elements.joint[follower]] = elements.joint[leader]
     for tendon in range(model.ntendon):
         part = f"{name}/coupling:{elements.tendon[tendon]}"
         found = bodies(elements.tendon_bodies(tendon))
@@ -107,6 +111,7 @@ def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> 
             for j in range(model.njnt)
             if (taken := _inputs(model, elements.joint[j]))
         },
+        leaders=leaders,
     )
 
 
