@@ -82,6 +82,16 @@ class PathError(TwinError):
     """A path outside its declared root folders, or a symbolic link where none is allowed."""
 
 
+def cannot_write(error: OSError, path: Path | str | None = None) -> PathError:
+    """Error for a write that the operating system refuses, such as on a full or read-only disk.
+
+    Args:
+        error: error of the system; it names the file unless ``path`` does.
+        path: the file or folder.
+    """
+    return PathError(f"cannot be written: {error.strerror or error}", path=path or error.filename)
+
+
 class SpecError(TwinError):
     """A ``twin.yaml``, golden spec or request that is well-formed but not valid."""
 

@@ -6,11 +6,11 @@ import argparse
 import json
 from pathlib import Path
 
-from pytest_twin.commands import folders, json_output, model_files
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.audit import render, table
 
@@ -64,14 +64,17 @@ def run(args: argparse.Namespace) -> int:
     asset: Path = args.asset
     out: Path = args.out
     function, arguments = _call(args)
-    with Sandbox() as sandbox, Progress("auditing") as progress:
-        found = sandbox.call(function, arguments, progress=progress)
-    renders = found.pop("renders", [])
-    located = found.pop("located", [])
-    folders.make(out)
     name = f"{asset.name}.audit"
-    atomic.write_text(out / f"{name}.json", json.dumps(found, indent=2) + "\n")
-    atomic.write_text(out / f"{name}.html", render(found, renders))
+    with (
+        results.result_folder(out, f"{name}.json") as staging,
+        Sandbox() as sandbox,
+        Progress("auditing") as progress,
+    ):
+        found = sandbox.call(function, arguments, progress=progress)
+        renders = found.pop("renders", [])
+        located = found.pop("located", [])
+        atomic.write_text(staging / f"{name}.json", json.dumps(found, indent=2) + "\n")
+        atomic.write_text(staging / f"{name}.html", render(found, renders))
     json_output.give(args, found)
     for line in located:
         show(line)

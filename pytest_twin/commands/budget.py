@@ -7,11 +7,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import folders, json_output
+from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import budget
 from pytest_twin.report.text import printable
@@ -47,15 +47,19 @@ def run(args: argparse.Namespace) -> int:
     twin: Path = args.twin / FILE_NAME if args.twin.is_dir() else args.twin
     if not twin.is_file():
         raise PathError("no such file", path=twin, expected=f"a {FILE_NAME}, or its folder")
-    with Sandbox() as sandbox, Progress("propagating") as progress:
+    out: Path = args.out
+    with (
+        results.result_folder(out, JSON_NAME) as staging,
+        Sandbox() as sandbox,
+        Progress("propagating") as progress,
+    ):
         document = sandbox.call(
             "pytest_twin.budget.run:budget_of_file",
             {"path": str(twin.absolute())},
             progress=progress,
         )
-    out = folders.make(args.out)
-    atomic.write_text(out / JSON_NAME, json.dumps(document, indent=2) + "\n")
-    atomic.write_text(out / PAGE_NAME, budget.render(document))
+        atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")
+        atomic.write_text(staging / PAGE_NAME, budget.render(document))
     json_output.give(args, document)
     show("\n".join(printable(line) for line in _words(document)))
     show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")

@@ -7,11 +7,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import folders, json_output
+from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import calibration
 from pytest_twin.words import counted
@@ -76,25 +76,26 @@ def run(args: argparse.Namespace) -> int:
     plan: Path = args.plan
     if not plan.is_file():
         raise PathError("no such file", path=plan, expected="a calibration plan (.yaml)")
-    kept = args.out.absolute() / OBSERVATIONS
-    with Sandbox() as sandbox, Progress("calibrating") as progress:
+    out: Path = args.out
+    with (
+        results.result_folder(out, FILE_NAME) as staging,
+        Sandbox() as sandbox,
+        Progress("calibrating") as progress,
+    ):
         document = sandbox.call(
             "pytest_twin.calibration.run:calibrate_file",
-            {"plan": str(plan.absolute()), "folder": str(kept)},
+            {"plan": str(plan.absolute()), "folder": str(staging / OBSERVATIONS)},
             progress=progress,
         )
-        out = folders.make(args.out)
         exports = sandbox.call(
             "pytest_twin.calibration.exports:export_files",
             {"plan": str(plan.absolute()), "document": document, "folder": str(out.absolute())},
         )
-    atomic.write_text(out / FILE_NAME, json.dumps(document, indent=2) + "\n")
-    for name in EXPORTS:
-        # Exports of an earlier, accepted run would contradict this result.
-        (out / name).unlink(missing_ok=True)
-    for name, text in exports.items():
-        atomic.write_text(out / name, text)
-    atomic.write_text(out / PAGE_NAME, calibration.render(document, plan.absolute().parent))
+        page = calibration.render(document, plan.absolute().parent)
+        text = json.dumps(document, indent=2) + "\n"
+        for name, content in {FILE_NAME: text, PAGE_NAME: page, **exports}.items():
+            atomic.write_text(staging / name, results.as_placed(content, staging))
+    document = json.loads(results.as_placed(text, staging))
     json_output.give(args, document)
     show(_words(document, out / FILE_NAME))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED

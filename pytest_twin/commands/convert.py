@@ -19,7 +19,7 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import RecordingError, TwinError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS, JointSeries, Recording
 from pytest_twin.formats.recordings import read_recordings
@@ -76,19 +76,25 @@ def run(args: argparse.Namespace) -> int:
     """
     out: Path = args.out
     _check_out(out, args.inputs)
-    with Sandbox() as sandbox:
+    data_name = out.with_suffix(".json").name
+    with (
+        results.result_folder(out.parent, data_name, replaceable=(out.name,)) as staging,
+        Sandbox() as sandbox,
+    ):
         summary = sandbox.call(
             "pytest_twin.commands.convert:convert_files",
             {
                 "inputs": [str(path) for path in args.inputs],
-                "out": str(out),
+                "out": str(staging / out.name),
                 "topics": args.topics,
                 "columns": args.columns,
                 "units": args.units,
                 "command_mode": args.command_mode,
             },
         )
-    atomic.write_text(out.with_suffix(".json"), json.dumps(summary, indent=2) + "\n")
+        for written in summary["written"]:
+            written["file"] = str(out.with_name(Path(written["file"]).name))
+        atomic.write_text(staging / data_name, json.dumps(summary, indent=2) + "\n")
     json_output.give(args, summary)
     # Names come from files and may contain terminal escape sequences.
     show("\n".join(printable(line) for line in _words(summary["written"])))

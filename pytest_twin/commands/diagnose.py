@@ -7,7 +7,6 @@ import contextlib
 import json
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from pytest_twin.commands import fleet, folders, json_output, model_files
+from pytest_twin.commands import fleet, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
@@ -25,7 +24,8 @@ from pytest_twin.commands.recording_arguments import (
 from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import results
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         help=f"folder for {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
-        "an earlier diagnosis is replaced",
+        "the files of an earlier diagnosis are replaced",
     )
     parser.add_argument(
         "--seconds",
@@ -177,33 +177,28 @@ def diagnose_into(
     Raises:
         TwinError: the input cannot be used.
     """
-    folders.check_replaceable(out, DIAGNOSIS_FILE, "diagnosis")
     found = find_model(model)
-    with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
-        staging = Path(scratch) / "diagnosis"
-        staging.mkdir()
+    with (
+        results.result_folder(out, DIAGNOSIS_FILE, alone=True) as staging,
         # The simulator writes its log to the working folder, so use one that is deleted.
-        with (
-            Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox,
-            contextlib.nullcontext()
-            if progress is None
-            else _stopped_by_interrupt(sandbox, progress),
-        ):
-            summary: dict[str, Any] = sandbox.call(
-                "pytest_twin.commands.diagnose:diagnose_files",
-                {
-                    "request": {
-                        "model": str(found),
-                        "recordings": [str(r.absolute()) for r in recordings],
-                        "held_out": [str(r.absolute()) for r in held_out],
-                        "out": str(staging),
-                        **arguments,
-                    },
+        temporary_folder() as scratch,
+        Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox,
+        contextlib.nullcontext() if progress is None else _stopped_by_interrupt(sandbox, progress),
+    ):
+        summary: dict[str, Any] = sandbox.call(
+            "pytest_twin.commands.diagnose:diagnose_files",
+            {
+                "request": {
+                    "model": str(found),
+                    "recordings": [str(r.absolute()) for r in recordings],
+                    "held_out": [str(r.absolute()) for r in held_out],
+                    "out": str(staging),
+                    **arguments,
                 },
-                progress=progress,
-                tell=None if progress is None else progress.tell,
-            )
-        atomic.replace_directory(staging, out)
+            },
+            progress=progress,
+            tell=None if progress is None else progress.tell,
+        )
     return summary
 
 

@@ -7,12 +7,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import folders, json_output, model_files
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.excitation.minimizers import SOLVERS
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import excitation
 from pytest_twin.report.text import printable
@@ -71,28 +71,32 @@ def run(args: argparse.Namespace) -> int:
     """
     model = str(find_model(args.model))
     search = model_files.search_folders(args)
-    with Sandbox(seconds=_SECONDS) as sandbox, Progress("designing motions") as progress:
+    out: Path = args.out
+    with (
+        results.result_folder(out, FILE_NAME) as staging,
+        Sandbox(seconds=_SECONDS) as sandbox,
+        Progress("designing motions") as progress,
+    ):
         blank = sandbox.call(
             "pytest_twin.excitation.excite:missing_template", {"model": model, **search}
         )
         if blank["template"]:
             show(blank["template"])
-        out = args.out if blank["template"] else folders.make(args.out)
         found = sandbox.call(
             "pytest_twin.excitation.excite:excite_file",
             {
                 "model": model,
-                "out": str(out.absolute()),
+                "out": str(staging),
                 "seed": args.seed,
                 "solver": args.solver,
                 **search,
             },
             progress=progress,
         )
-    document, abort = found["document"], found["abort"]
-    atomic.write_text(out / FILE_NAME, json.dumps(document, indent=2) + "\n")
-    atomic.write_text(out / ABORT_NAME, json.dumps(abort, indent=2) + "\n")
-    atomic.write_text(out / PAGE_NAME, excitation.render(document, abort, found["drawn"]))
+        document, abort = found["document"], found["abort"]
+        atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
+        atomic.write_text(staging / ABORT_NAME, json.dumps(abort, indent=2) + "\n")
+        atomic.write_text(staging / PAGE_NAME, excitation.render(document, abort, found["drawn"]))
     json_output.give(args, document)
     show("\n".join(printable(line) for line in _words(document, out)))
     return IDENTIFIABLE if document["verdict"] == "identifiable" else NOT_IDENTIFIABLE

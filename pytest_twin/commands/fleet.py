@@ -14,7 +14,7 @@ from typing import Any
 from pytest_twin.commands import json_output
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
-from pytest_twin.formats import atomic, yaml
+from pytest_twin.formats import atomic, results, yaml
 from pytest_twin.formats.file_names import portable_name
 from pytest_twin.gate.failure_diagnosis import REPORT_FILE
 from pytest_twin.realization.executor import Dask, Executor, Forks
@@ -145,7 +145,6 @@ def diagnose_fleet(robots: Sequence[Robot], options: Options, executor: Executor
         options: options that they share.
         executor: executor of the diagnoses.
     """
-    options.out.mkdir(exist_ok=True)
     return executor.map(partial(diagnose_robot, options=options), robots)
 
 
@@ -172,6 +171,8 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
     jobs = min(args.jobs or usable_cores(), len(robots))
     executor: Executor = Forks(jobs) if args.scheduler is None else Dask(args.scheduler)
     threads = max(1, usable_cores() // jobs) if args.scheduler is None else 1
+    # It describes the robots' folders, which are replaced one by one.
+    results.withdraw(out, FLEET_FILE)
     outcomes = diagnose_fleet(robots, Options(out, threads, arguments), executor)
     said = {
         "schema": 1,
@@ -184,7 +185,8 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
             for o in outcomes
         },
     }
-    atomic.write_text(out / FLEET_FILE, json.dumps(said, indent=2) + "\n")
+    with results.result_folder(out, FLEET_FILE) as staging:
+        atomic.write_text(staging / FLEET_FILE, json.dumps(said, indent=2) + "\n")
     json_output.give(args, said)
     width = max(len(o.name) for o in outcomes)
     for o in outcomes:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import tempfile
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import folders, json_output, model_files
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
@@ -17,7 +16,8 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import identification
 from pytest_twin.report.text import printable
@@ -142,13 +142,14 @@ def run(args: argparse.Namespace) -> int:
         TwinError: the input cannot be used.
     """
     out: Path = args.out.absolute()
-    folders.check_replaceable(out, FILE_NAME, "identification")
     model = find_model(args.model)
-    with tempfile.TemporaryDirectory(prefix=".twin-", dir=out.parent) as scratch:
-        staging = Path(scratch) / "identification"
-        staging.mkdir()
+    with (
+        results.result_folder(out, FILE_NAME, alone=True) as staging,
+        # The simulator writes its log to the working folder, so use one that is deleted.
+        temporary_folder() as scratch,
+    ):
         with (
-            Sandbox(seconds=_SECONDS, cwd=Path(scratch)) as sandbox,
+            Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox,
             Progress("identifying") as progress,
         ):
             document = sandbox.call(
@@ -177,7 +178,6 @@ def run(args: argparse.Namespace) -> int:
             )
         atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
         atomic.write_text(staging / PAGE_NAME, identification.render(document))
-        atomic.replace_directory(staging, out)
     json_output.give(args, document)
     show("\n".join(printable(line) for line in _words(document, args.out)))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import folders, json_output
+from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -16,7 +16,7 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
 from pytest_twin.ranges.files import write_files
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import ranges
@@ -123,7 +123,12 @@ def run(args: argparse.Namespace) -> int:
     twin: Path = args.twin / FILE_NAME if args.twin.is_dir() else args.twin
     if not twin.is_file():
         raise PathError("no such file", path=twin, expected=f"a {FILE_NAME}, or its folder")
-    with Sandbox(seconds=SECONDS) as sandbox, Progress("simulating") as progress:
+    out: Path = args.out
+    with (
+        results.result_folder(out, JSON_NAME) as staging,
+        Sandbox(seconds=SECONDS) as sandbox,
+        Progress("simulating") as progress,
+    ):
         document = sandbox.call(
             "pytest_twin.ranges.run:ranges_of_file",
             {
@@ -140,10 +145,9 @@ def run(args: argparse.Namespace) -> int:
             },
             progress=progress,
         )
-    out = folders.make(args.out)
-    atomic.write_text(out / JSON_NAME, json.dumps(document, indent=2) + "\n")
-    atomic.write_text(out / PAGE_NAME, ranges.render(document))
-    write_files(out)
+        atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")
+        atomic.write_text(staging / PAGE_NAME, ranges.render(document))
+        write_files(staging)
     json_output.give(args, document)
     show("\n".join(printable(line) for line in _words(document)))
     show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")

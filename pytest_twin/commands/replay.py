@@ -20,7 +20,7 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.realization.files.search import SearchFolders
@@ -82,14 +82,19 @@ def run(args: argparse.Namespace) -> int:
     out: Path = args.out
     recording = args.recording.resolve()
     _check_out(out, recording)
-    with Sandbox() as sandbox, Progress("replaying") as progress:
+    data_name, page_name = out.with_suffix(".json").name, out.with_suffix(".html").name
+    with (
+        results.result_folder(out.parent, data_name, replaceable=(out.name,)) as staging,
+        Sandbox() as sandbox,
+        Progress("replaying") as progress,
+    ):
         summary = sandbox.call(
             "pytest_twin.commands.replay:replay_file",
             {
                 "request": {
                     "model": str(find_model(args.model)),
                     "recording": str(recording),
-                    "out": str(out.absolute()),
+                    "out": str(staging / out.name),
                     "topics": args.topics,
                     "options": recording_options(args),
                     "episode": args.episode,
@@ -98,8 +103,9 @@ def run(args: argparse.Namespace) -> int:
             },
             progress=progress,
         )
-    atomic.write_text(out.with_suffix(".json"), json.dumps(summary, indent=2) + "\n")
-    atomic.write_text(out.with_suffix(".html"), page.render(summary))
+        summary["prediction"] = str(out.absolute())
+        atomic.write_text(staging / data_name, json.dumps(summary, indent=2) + "\n")
+        atomic.write_text(staging / page_name, page.render(summary))
     json_output.give(args, summary)
     show(_words(summary))
     return DONE
@@ -112,6 +118,7 @@ def find_model(given: Path) -> Path:
         SpecError: a folder with neither, or a file of a different kind.
     """
     if given.is_dir():
+        results.finish(given)
         for name in _IN_FOLDER:
             if (given / name).is_file():
                 return (given / name).resolve()

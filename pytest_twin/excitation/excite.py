@@ -294,9 +294,4 @@ def _write(found: Excitation, out: Path) -> dict[str, list[str]]:
             position, modes_of(found),
         )  # fmt: skip
         written[one.motion.name] = [str(path.relative_to(out)) for path in paths]
-    # Delete files of an earlier run, whose limits may differ from the new report.
-    kept = {out / name for names_ in written.values() for name in names_}
-    for path in folder.glob("*"):
-        if path not in kept and path.name.endswith(files.SUFFIXES):
-            path.unlink()
     return written

@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shutil
 import stat
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from pytest_twin.errors import FormatError, PathError
+from pytest_twin.errors import FormatError, PathError, cannot_write
+from pytest_twin.formats.temporary import temporary_file
 
 
 @contextlib.contextmanager
@@ -27,24 +26,16 @@ def open_replacement(path: Path) -> Iterator[BinaryIO]:
     """
     mode = _mode_for(path)
     try:
-        descriptor, name = tempfile.mkstemp(prefix=".twin-", dir=path.parent)
+        with temporary_file(path.parent) as (temporary, descriptor):
+            with os.fdopen(os.dup(descriptor), "w+b") as stream:
+                yield stream
+                stream.flush()
+                os.fchmod(stream.fileno(), mode)
+                os.fsync(stream.fileno())
+            temporary.replace(path)
+        sync_folder(path.parent)
     except OSError as error:
-        raise PathError(f"cannot be written: {error.strerror}", path=path) from error
-    temporary = Path(name)
-    try:
-        with os.fdopen(descriptor, "w+b") as stream:
-            yield stream
-            stream.flush()
-            os.fchmod(stream.fileno(), mode)
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise PathError(f"cannot be written: {error.strerror or error}", path=path) from error
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    _sync_folder(path.parent)
+        raise cannot_write(error, path) from error
 
 
 def make_folder(path: Path) -> None:
@@ -56,7 +47,7 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise PathError(f"cannot be written: {error.strerror}", path=path) from None
+        raise cannot_write(error, path) from None
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -87,42 +78,6 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, data)
 
 
-def replace_directory(staging: Path, final: Path) -> None:
-    """Rename the finished folder ``staging`` to ``final`` and delete an existing ``final``.
-
-    Both have to be on the same file system. Everything in ``staging`` is synced first. If
-    ``final`` does not exist, one rename suffices. If it exists, the old folder is moved to a
-    temporary name first, and moved back if the rename fails.
-
-    Raises:
-        PathError: ``staging`` is not a folder, ``final`` is a link or a file, or the operating
-            system refuses.
-    """
-    if staging.is_symlink() or not staging.is_dir():
-        raise PathError("not a folder", path=staging, expected="the folder to move into place")
-    if final.is_symlink() or (final.exists() and not final.is_dir()):
-        raise PathError("is not a folder", path=final, expected="a folder or nothing")
-    try:
-        _sync_tree(staging)
-        if not final.exists():
-            staging.rename(final)
-            _sync_folder(final.parent)
-            return
-        aside = Path(tempfile.mkdtemp(prefix=".twin-", dir=final.parent))
-        old = aside / "old"
-        final.rename(old)
-        try:
-            staging.rename(final)
-        except BaseException:
-            old.rename(final)
-            aside.rmdir()
-            raise
-        _sync_folder(final.parent)
-        shutil.rmtree(aside)
-    except OSError as error:
-        raise PathError(f"cannot be replaced: {error.strerror or error}", path=final) from error
-
-
 def create_directory(staging: Path, final: Path) -> bool:
     """Rename the finished folder ``staging`` to ``final`` unless ``final`` exists.
 
@@ -139,9 +94,9 @@ def create_directory(staging: Path, final: Path) -> bool:
     if final.is_symlink() or final.exists():
         return False
     try:
-        _sync_tree(staging)
+        sync_tree(staging)
         staging.rename(final)
-        _sync_folder(final.parent)
+        sync_folder(final.parent)
     except OSError as error:
         # A rename never replaces a folder that is not empty.
         if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
@@ -159,7 +114,7 @@ def _mode_for(path: Path) -> int:
         os.umask(mask)
         return 0o666 & ~mask
     except OSError as error:
-        raise PathError(f"cannot be written: {error.strerror}", path=path) from error
+        raise cannot_write(error, path) from error
     if not stat.S_ISREG(found.st_mode):
         raise PathError(
             "is not a regular file and is not overwritten",
@@ -169,7 +124,8 @@ def _mode_for(path: Path) -> int:
     return stat.S_IMODE(found.st_mode)
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Write the entries of a folder from memory to the disk."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -177,7 +133,8 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _sync_tree(folder: Path) -> None:
+def sync_tree(folder: Path) -> None:
+    """Write all files and folders below ``folder`` from memory to the disk."""
     for parent, _, files in os.walk(folder):
         for name in files:
             path = Path(parent) / name
@@ -188,4 +145,4 @@ def _sync_tree(folder: Path) -> None:
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
-        _sync_folder(Path(parent))
+        sync_folder(Path(parent))

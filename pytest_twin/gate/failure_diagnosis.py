@@ -6,7 +6,6 @@ realization. The metadata of a recording decide whether it is fitted or held out
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,8 @@ from typing import TypeAlias
 from pytest_twin.checks import check_of
 from pytest_twin.checks.files import find_file
 from pytest_twin.errors import TwinError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import results
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.gate import Gate, Progress
 from pytest_twin.golden import Golden
 from pytest_twin.realization.sandbox import Sandbox
@@ -121,25 +121,22 @@ def _write_diagnosis(
     others: list[RecordingRef],
     progress: Progress | None,
 ) -> tuple[Path, tuple[str, ...]]:
-    folder = gate.root / FOLDER
-    atomic.make_folder(folder)
-    with tempfile.TemporaryDirectory(prefix=".twin-", dir=folder) as scratch:
-        staging = Path(scratch) / "diagnosis"
-        staging.mkdir()
+    folder = gate.root / FOLDER / realization
+    with (
+        results.result_folder(folder, DIAGNOSIS_FILE) as staging,
         # A separate process, because MuJoCo writes its log into the working directory.
-        with Sandbox(
-            seconds=_SECONDS, cwd=Path(scratch), untrusted=gate.runner.untrusted
-        ) as sandbox:
-            said = sandbox.call(
-                "pytest_twin.gate.worker:diagnose",
-                {
-                    "twin": str(gate.twin.path),
-                    "realization": realization,
-                    "failed": list(dict.fromkeys(recordings)),
-                    "others": list(dict.fromkeys(others)),
-                    "out": str(staging),
-                },
-                progress=progress,
-            )
-        atomic.replace_directory(staging, folder / realization)
-    return folder / realization / REPORT_FILE, tuple(printable(line) for line in said["words"])
+        temporary_folder() as scratch,
+        Sandbox(seconds=_SECONDS, cwd=scratch, untrusted=gate.runner.untrusted) as sandbox,
+    ):
+        said = sandbox.call(
+            "pytest_twin.gate.worker:diagnose",
+            {
+                "twin": str(gate.twin.path),
+                "realization": realization,
+                "failed": list(dict.fromkeys(recordings)),
+                "others": list(dict.fromkeys(others)),
+                "out": str(staging),
+            },
+            progress=progress,
+        )
+    return folder / REPORT_FILE, tuple(printable(line) for line in said["words"])

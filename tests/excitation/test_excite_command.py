@@ -11,6 +11,7 @@ import pytest
 from approved_arms import Excited, approved_for_arm, write_twin
 
 from pytest_twin import cli
+from pytest_twin.formats import results
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.report import excitation as page
 
@@ -49,9 +50,10 @@ def test_unsafe_motions_are_not_written(tmp_path: Path, capsys: pytest.CaptureFi
     section = approved_for_arm(mechanisms=["delay"], supply={"voltage": 0.01, "current": 0.01})
     twin = write_twin(tmp_path, section)
     out = tmp_path / "out"
-    (out / "trajectories").mkdir(parents=True)
+    with results.result_folder(out, "excitation.json") as staging:
+        (staging / "trajectories").mkdir()
+        (staging / "trajectories" / "steps_lift_fit.csv").write_text("of an earlier run\n")
     earlier = out / "trajectories" / "steps_lift_fit.csv"
-    earlier.write_text("of an earlier run\n")
     assert cli.main(["excite", str(twin), "--out", str(out)]) == 1
     words = capsys.readouterr().out
     assert "X steps_lift_fit: no safe motion in 8 attempts: power of all drives" in words

@@ -89,46 +89,6 @@ def _folder(path: Path, content: str) -> Path:
     return path
 
 
-def test_folders_are_created_and_replaced_as_a_whole(tmp_path: Path) -> None:
-    final = tmp_path / "final"
-    atomic.replace_directory(_folder(tmp_path / "one", "1"), final)
-    assert (final / "a").read_text() == "1"
-    (final / "only-old").write_text("x")
-    atomic.replace_directory(_folder(tmp_path / "two", "2"), final)
-    assert [(entry.name, entry.read_text()) for entry in final.iterdir()] == [("a", "2")]
-    assert [entry.name for entry in tmp_path.iterdir()] == ["final"]
-
-
-def test_a_failed_rename_restores_the_old_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    final = _folder(tmp_path / "final", "old")
-    staging = _folder(tmp_path / "staging", "new")
-    rename = Path.rename
-
-    def refuse(self: Path, target: Path) -> Path:
-        if self == staging:
-            raise OSError(28, "No space left on device")
-        return rename(self, target)
-
-    monkeypatch.setattr(Path, "rename", refuse)
-    with pytest.raises(PathError, match="No space left"):
-        atomic.replace_directory(staging, final)
-    assert (final / "a").read_text() == "old"
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["final", "staging"]
-
-
-def test_folders_do_not_replace_files_or_links(tmp_path: Path) -> None:
-    staging = _folder(tmp_path / "staging", "new")
-    (tmp_path / "file").write_text("x")
-    (tmp_path / "link").symlink_to(staging)
-    for name in ("file", "link"):
-        with pytest.raises(PathError, match="is not a folder"):
-            atomic.replace_directory(staging, tmp_path / name)
-    with pytest.raises(PathError, match="not a folder"):
-        atomic.replace_directory(tmp_path / "link", tmp_path / "final")
-
-
 def test_creating_a_folder_never_replaces_an_existing_one(tmp_path: Path) -> None:
     final = tmp_path / "final"
     assert atomic.create_directory(_folder(tmp_path / "one", "1"), final)
