@@ -23,6 +23,7 @@ __all__ = ["TwinRelease", "twin_release"]
 _TWIN_FILE = "twin.yaml"
 _EFFECTS_FILE = "effects.json"
 _GOLDEN_FOLDER = "golden"
+_SOURCE_FOLDER = "source"
 _OWN_OUTPUT = ("releases", "keys", ".twin")
 _OPTIONS: pytest.StashKey[Options] = pytest.StashKey()
 _FOLDERS: pytest.StashKey[dict[Path, Path | None]] = pytest.StashKey()
@@ -58,9 +59,16 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    """Skip the folders that pytest-twin writes: a release contains copies of specs."""
+    """Skip the folders that pytest-twin writes: a release contains copies of specs.
+
+    A supplier's files are skipped too: tests in them are not the twin's, and would run as code.
+    """
     if collection_path.name in _OWN_OUTPUT and (collection_path.parent / _TWIN_FILE).is_file():
         return True
+    if collection_path.name == _SOURCE_FOLDER:
+        from pytest_twin.asset.manifest import is_source_folder
+
+        return is_source_folder(collection_path) or None
     return None
 
 

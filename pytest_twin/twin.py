@@ -28,8 +28,6 @@ from pytest_twin.ranges_spec import RangesSpec, TrialGroup
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 
 FILE_NAME = "twin.yaml"
-PENDING_ROLLBACK = ".twin/rollback"
-"""Folder of a rollback whose files are not yet all in place."""
 EFFECTS_FILE = "effects.json"
 """File next to a model that a diagnosis wrote: effects that MJCF cannot express."""
 # Model files in the folder of a diagnosis; the first that exists is used.
@@ -288,6 +286,19 @@ class Authority:
 
 
 @dataclass(frozen=True, slots=True)
+class Edit:
+    """Statement that a person changed a file that ``pytest-twin realize`` wrote.
+
+    Attributes:
+        reason: what was changed, and why.
+        owner: who answers for it.
+    """
+
+    reason: str
+    owner: str
+
+
+@dataclass(frozen=True, slots=True)
 class FreshPolicy:
     """Smallest displacement for which a change of the twin makes stamped data stale.
 
@@ -309,6 +320,7 @@ class Twin:
         name: name of the twin.
         realizations: name -> file and simulator; ``model:`` is the first, named ``mujoco``.
         source: the supplier's files.
+        edited: generated file of the asset -> why it was changed.
         roots: name -> folder outside ``root`` that may contain files of the twin.
         topics: ``state`` and ``command`` -> topic.
         recordings: how to read recordings: joint names, fields, clock, commands between stamps.
@@ -339,6 +351,7 @@ class Twin:
     name: str
     realizations: Mapping[str, RealizationRef]
     source: tuple[Path, ...] = ()
+    edited: Mapping[Path, Edit] = field(default_factory=dict)
     roots: Mapping[str, Path] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULT_TOPICS))
     recordings: RecordingOptions = NO_OPTIONS
@@ -469,12 +482,6 @@ def load_twin(path: Path) -> Twin:
             ``roots``.
     """
     path = path.absolute()
-    if (path.parent / PENDING_ROLLBACK).is_dir():
-        raise SpecError(
-            "a rollback was interrupted, and the files are partly those of a release",
-            path=path.parent,
-            expected="pytest-twin rollback, which completes it",
-        )
     document = yaml.load(path)
     validate(document, schema(), path)
     return _Reader(path, document.data, document.lines).twin()
@@ -510,6 +517,10 @@ class _Reader:
             source=tuple(
                 self._file(name, f"source.{i}") for i, name in enumerate(data.get("source", ()))
             ),
+            edited={
+                self._file(name, f"edited.{name}"): Edit(stated["reason"], stated["owner"])
+                for name, stated in data.get("edited", {}).items()
+            },
             roots=self.named_roots,
             topics={**DEFAULT_TOPICS, **data.get("topics", {})},
             recordings=_recordings(data),

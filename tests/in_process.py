@@ -25,6 +25,9 @@ class InProcess:
     def __exit__(self, *error: object) -> None:
         pass
 
+    def close(self) -> None:
+        """End nothing: there is no child."""
+
     def call(
         self,
         function: str,
@@ -32,8 +35,12 @@ class InProcess:
         *,
         progress: Callable[[float], None] | None = None,
         tell: Callable[[str, str], None] | None = None,
+        seconds: float | None = None,
     ) -> Any:
-        """Call ``module:function`` with keyword arguments; both ways through JSON."""
+        """Call ``module:function`` with keyword arguments; both ways through JSON.
+
+        ``seconds`` limits nothing here.
+        """
         module, _, name = function.partition(":")
         target = getattr(importlib.import_module(module), name)
         given = {"progress": progress or _ignored, "tell": tell or _ignored}

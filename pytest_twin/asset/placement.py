@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,6 @@ from pytest_twin.asset.manifest import Manifest, State
 from pytest_twin.asset.normalize import MESH_FOLDER
 from pytest_twin.errors import PathError
 from pytest_twin.formats.digest import file_sha256
-
-_NOTHING = State({})
 
 
 def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
@@ -27,13 +26,7 @@ def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
     known = manifest.find(source)
     if known is None or not source.is_relative_to(known[0].parent / manifest.SOURCE_FOLDER):
         return None
-    changed = manifest.changes_of_source(*known)
-    if changed:
-        raise PathError(
-            f"the source asset has changed since intake: {changed[0]}",
-            path=known[0],
-            expected="the unchanged source, or a new `pytest-twin intake` of the changed one",
-        )
+    manifest.require_unchanged_source(*known)
     return known
 
 
@@ -66,11 +59,12 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
                 expected="nothing, or a regular file: move it, or give another folder for --out",
             )
     old = _before(out)
-    told = _manifest(out, source, made, old)
+    listed, copied = _manifest(out, source, made, old, targets)
     written = {
         name
         for state in ("normalized", "realization")
-        for name in (old.states[state].files if old and state in old.states else ())
+        if old is not None and state in old.states
+        for name in (*old.states[state].files, *old.states[state].facts.get(manifest.REPORTS, ()))
     }
     for target, path in targets.items():
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -79,8 +73,11 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
         obsolete = out / name
         if obsolete.parent.resolve() in (out, out / MESH_FOLDER) and obsolete.is_file():
             obsolete.unlink()
-    manifest.write(out / manifest.FILE_NAME, told)
-    made["manifest"] = json.loads(told.to_text())
+    for name, path in copied.items():
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, out / name)
+    manifest.write(out / manifest.FILE_NAME, listed)
+    made["manifest"] = json.loads(listed.to_text())
 
 
 def _before(out: Path) -> Manifest | None:
@@ -88,25 +85,51 @@ def _before(out: Path) -> Manifest | None:
     return manifest.read(path) if path.is_file() else None
 
 
-def _manifest(out: Path, source: Path, made: Mapping[str, Any], old: Manifest | None) -> Manifest:
+def _manifest(
+    out: Path,
+    source: Path,
+    made: Mapping[str, Any],
+    old: Manifest | None,
+    targets: Iterable[Path],
+) -> tuple[Manifest, dict[str, Path]]:
+    """Return the new manifest, and the files of the source that have to be copied to ``out``."""
     known = frozen_source(source)
-    mine = known is not None and known[0].parent == out
-    if not mine and old is not None and old.states.get("source", _NOTHING).facts.get("folder"):
-        raise PathError(
-            "the folder contains another asset", path=out, expected="its own URDF, or a new folder"
-        )
+    copied: dict[str, Path] = {}
+    read_files = [Path(name) for name in made["source_files"]]
     if known is not None:
         # The manifest of an asset lists all of its files.
-        state = known[1].states["source"]
-        if not mine:
-            facts = {key: value for key, value in state.facts.items() if key != "folder"}
-            state = State(state.files, facts)
+        base, state = known[0].parent, known[1].states["source"]
     else:
-        paths = [Path(name) for name in made["source_files"]]
-        base = Path(os.path.commonpath([path.parent for path in paths]))
-        state = State({p.relative_to(base).as_posix(): file_sha256(p) for p in paths})
+        base = Path(os.path.commonpath([path.parent for path in read_files]))
+        state = State({p.relative_to(base).as_posix(): file_sha256(p) for p in read_files})
+    if known is None or base != out:
+        if old is not None and old.keeps_source and old.states["source"].files != state.files:
+            raise PathError(
+                "the folder contains another asset",
+                path=out,
+                expected="its own URDF, or a new folder",
+            )
+        if known is not None and (old is None or not old.keeps_source):
+            # The source goes with the asset, so that the gate sees a later change of it.
+            copied = {name: base / name for name in state.files}
+    read_names = [_name_below(path, base) for path in read_files]
+    command = [*made["command"]]
+    command[2] = _name_below(source, base)
     states = {"source": state}
-    for name, content in made["states"].items():
-        states[name] = State(content["files"], content["facts"])
-    name = known[1].asset if known is not None and mine else made["asset"]
-    return Manifest(name, states)
+    link = manifest.link_to("source", state, (n for n in read_names if n in state.files))
+    for name in ("normalized", "realization"):
+        content = made["states"][name]
+        facts = {"made": manifest.made_by(command, link), **content["facts"]}
+        states[name] = State(content["files"], facts)
+        link = manifest.link_to(name, states[name], content["files"])
+    in_a_state = {file for state in states.values() for file in state.files}
+    names = sorted(target.relative_to(out).as_posix() for target in targets)
+    reports = [name for name in names if name not in in_a_state]
+    states["normalized"] = State(
+        states["normalized"].files, {**states["normalized"].facts, manifest.REPORTS: reports}
+    )
+    return Manifest(known[1].asset if known is not None else made["asset"], states), copied
+
+
+def _name_below(path: Path, base: Path) -> str:
+    return path.relative_to(base).as_posix() if path.is_relative_to(base) else path.name

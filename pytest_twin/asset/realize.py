@@ -110,9 +110,16 @@ def realize(
     critical = [f"{flag.where}: {flag.why} ({flag.value})" for flag in made.flags if flag.critical]
     return {
         "asset": made.urdf.stem,
+        "command": list(command),
         "source_files": [str(file) for file in dict.fromkeys(made.source_files)],
         "states": {
-            name: {"files": dict(state.files), "facts": dict(state.facts)}
+            name: {
+                "files": dict(state.files),
+                "facts": {
+                    **state.facts,
+                    "content": manifest.content_digests(out, state.files),
+                },
+            }
             for name, state in states.items()
         },
         "critical": critical + matrix.critical,

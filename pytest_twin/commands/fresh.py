@@ -12,11 +12,12 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
+from pytest_twin.gate.asset_chain import chain_of, changes_since, lost_manifests
 from pytest_twin.provenance.released_files import copy_release, release_folder
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
 from pytest_twin.report.text import printable
-from pytest_twin.twin import FILE_NAME
+from pytest_twin.twin import FILE_NAME, load_twin
 from pytest_twin.words import counted
 
 HELP = "list changes of the twin since a data set was stamped, and whether they affect its data"
@@ -71,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
             },
         )
     newest = release.newest(root)
+    twin = load_twin(root / FILE_NAME)
+    chain = chain_of(twin)
     document = {
         "schema": 1,
         "dataset": str(dataset),
@@ -78,6 +81,10 @@ def run(args: argparse.Namespace) -> int:
         "release": stated.number,
         "newest": None if newest is None else int(newest.name),
         **document,
+        "asset": [
+            *changes_since(stated, chain),
+            *(f"asset: {p}" for p in (*chain.problems, *lost_manifests(stated, chain, twin))),
+        ],
     }
     json_output.give(args, document)
     show("\n".join(printable(line) for line in _words(document)))
@@ -116,7 +123,9 @@ def _words(document: dict[str, Any]) -> list[str]:
         f"{document['twin']!r} (newest release: {document['newest']})"
     ]
     if not changes:
-        lines.append("  nothing has changed in the twin since")
+        unchanged = "no model, calibration or fit" if document["asset"] else "nothing"
+        lines.append(f"  {unchanged} has changed in the twin since")
+    lines += [f"  {line}" for line in document["asset"]]
     for title, some in (("matters", matter), ("does not matter", changes)):
         for one in some:
             if title == "does not matter" and one["matters"]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.asset import manifest
+from pytest_twin.asset.manifest import Manifest
 from pytest_twin.commands import folders, json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
@@ -23,7 +25,7 @@ from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.runner import Runner
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.setup import writing
-from pytest_twin.setup.asset_files import RobotFiles, copy_into_twin
+from pytest_twin.setup.asset_files import CopiedFiles, RobotFiles, copy_into_twin
 from pytest_twin.setup.recordings import ROOT, TaskTolerance, parse_tolerance, place_recordings
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
 from pytest_twin.words import counted
@@ -93,11 +95,49 @@ def run(args: argparse.Namespace) -> int:
         )
     if (folder / FILE_NAME).exists():
         raise SpecError("a twin exists already", path=folder / FILE_NAME, expected="a new folder")
+    asset = _asset_of(robot, folder)
     with writing.all_or_nothing(folder):
-        return _set_up(robot, folder, args)
+        return _set_up(robot, asset, folder, args)
 
 
-def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
+def _asset_of(robot: Path, folder: Path) -> tuple[Path, Manifest] | None:
+    """The manifest of the asset that a model is a state of, None without one.
+
+    Raises:
+        PathError: its source has changed since intake.
+        FormatError: its manifest was changed.
+        SpecError: the twin would be inside the source.
+    """
+    asset = manifest.find(robot)
+    if asset is None:
+        return None
+    manifest.require_unchanged_source(*asset)
+    if asset[1].keeps_source and folder.is_relative_to(asset[0].parent / manifest.SOURCE_FOLDER):
+        raise SpecError(
+            "the twin would be inside the source of an asset, which never changes",
+            path=folder,
+            expected="another folder for --out",
+        )
+    return asset
+
+
+def _supplied_files(asset: tuple[Path, Manifest] | None, brought: CopiedFiles) -> Iterable[Path]:
+    """The supplier's files for ``source:``: for a generated model those that it was made from."""
+    if asset is None or brought.manifest is None:
+        return brought.files
+    at, known = brought.manifest.parent, asset[1]
+    if not brought.model.is_relative_to(at) or (
+        known.state_of(brought.model.relative_to(at).as_posix()) == "source"
+    ):
+        return brought.files
+    if not known.keeps_source:
+        return ()
+    return [at / name for name in known.states["normalized"].made_from]
+
+
+def _set_up(
+    robot: Path, asset: tuple[Path, Manifest] | None, folder: Path, args: argparse.Namespace
+) -> int:
     with Sandbox(cwd=None) as sandbox, Progress("reading the robot") as progress:
         search = model_files.search_folders(args)
         seen = sandbox.call(
@@ -111,6 +151,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
                 Path(seen["root"]),
                 {name: Path(package) for name, package in seen["packages"].items()},
                 [Path(root) for root in search["roots"]],
+                () if asset is None else manifest.all_files(*asset),
             ),
             folder,
         )
@@ -121,7 +162,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
         first = writing.FirstTwin(
             name=re.sub(r"[^A-Za-z0-9_.-]", "_", robot.stem),
             model=brought.model,
-            source=brought.files,
+            source=_supplied_files(asset, brought),
             roots=roots,
             tcp=seen["tcp"],
             inertia_repairs=seen["inertia_repairs"],
@@ -157,6 +198,7 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
             expected="a joint, a body with mass, or collision shapes of two bodies",
         )
     told = _notes(found["specs"])
+    seen["notes"] += _notes_of_asset(asset, brought)
     for note in _condense(seen["notes"], robot.parent):
         show(f"note: {note}")
     specs = writing.write_specs(folder, found["specs"])
@@ -170,6 +212,9 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
         "nothing_to_propose": found["none"],
         "notes": seen["notes"],
         "notes_of_goldens": told,
+        "asset": None
+        if asset is None or brought.manifest is None
+        else {"manifest": str(brought.manifest), "copied_from": str(asset[0])},
     }
     json_output.give(args, summary)
     atomic.write_text(folder / ".twin" / "init.json", json.dumps(summary, indent=2) + "\n")
@@ -191,6 +236,29 @@ def _set_up(robot: Path, folder: Path, args: argparse.Namespace) -> int:
     else:
         show("next: pytest --twin-release")
     return DONE
+
+
+def _notes_of_asset(asset: tuple[Path, Manifest] | None, brought: CopiedFiles) -> Iterator[str]:
+    """What the twin keeps of its asset, and which steps do not follow from the one before."""
+    if asset is None or brought.manifest is None:
+        return
+    path, known = asset
+    if path != brought.manifest:
+        files = sum(file.is_file() for file in manifest.all_files(path, known))
+        yield (
+            f"the asset {known.asset!r} was copied to {brought.manifest.parent}, "
+            f"{counted(files, 'file')} with its manifest: from now on these are the twin's own"
+        )
+    if not known.keeps_source:
+        yield (
+            f"{brought.manifest}: the supplier's files are not kept beside it, so no later change "
+            "of them is seen: pytest-twin intake keeps them"
+        )
+    for change in manifest.changes_of_generated(path, known):
+        yield (
+            f"{change} after pytest-twin realize: a release needs the reason, under edited: in "
+            f"{FILE_NAME}"
+        )
 
 
 def _some(goldens: list[str]) -> str:

@@ -14,7 +14,7 @@ from pytest_twin.asset.manifest import Manifest, State
 from pytest_twin.commands import folders, json_output
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
-from pytest_twin.errors import FormatError, PathError, SpecError
+from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.sandbox import Sandbox
@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         raise SpecError(
             "an asset exists already, and its source is never overwritten",
             path=out,
+            value=_comparison(out / manifest.FILE_NAME, origin),
             expected="a new folder",
         )
     if origin.is_dir() and out.is_relative_to(origin.resolve()):
@@ -87,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
                 "pytest_twin.asset.unpack:unpack",
                 {"origin": str(origin.resolve()), "folder": str(staging)},
             )
+            found = sandbox.call("pytest_twin.asset.evidence:sort_folder", {"folder": str(staging)})
         staging.chmod(0o755)
         if not atomic.create_directory(staging, out / SOURCE):
             raise SpecError(
@@ -96,9 +98,10 @@ def run(args: argparse.Namespace) -> int:
             )
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-    found = evidence.sort_files(names)
     lacking = evidence.missing(found) + ([] if args.supplier else ["supplier"])
+    command = ["pytest-twin", "intake", origin.resolve().name, "--out", "DIR"]
     facts = {
+        "made": manifest.made_by(command),
         "folder": SOURCE,
         "supplier": args.supplier,
         "received": date,
@@ -116,6 +119,21 @@ def run(args: argparse.Namespace) -> int:
     json_output.give(args, json.loads(written.to_text()))
     _tell(out, found, lacking, state)
     return DONE
+
+
+def _comparison(earlier: Path, origin: Path) -> str | None:
+    """Whether an archive is the one that was taken in earlier; None where this is not known."""
+    try:
+        facts = manifest.read(earlier).states["source"].facts["origin"]
+        stated, today = facts["sha256"], file_sha256(origin.resolve())
+    except (TwinError, KeyError, TypeError):
+        return None
+    if not isinstance(stated, str) or stated == today:
+        return f"the archive {facts['name']}, unchanged since its intake"
+    return (
+        f"another archive than {facts['name']} of its intake, SHA-256 {today[:16]}... instead of "
+        f"{stated[:16]}..."
+    )
 
 
 def _date(text: str | None) -> str:

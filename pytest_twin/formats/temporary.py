@@ -69,11 +69,12 @@ def temporary_file(parent: Path) -> Iterator[tuple[Path, int]]:
             path.unlink(missing_ok=True)
 
 
-def sweep(parent: Path) -> None:
+def sweep(parent: Path, keep: str | None = None) -> None:
     """Remove the temporary files and folders of ended processes in a folder, once per process.
 
     Args:
         parent: the folder; errors are ignored.
+        keep: name of a folder that stays.
     """
     done = (os.getpid(), parent)
     if done in _swept:
@@ -81,20 +82,21 @@ def sweep(parent: Path) -> None:
     _swept.add(done)
     with contextlib.suppress(OSError), os.scandir(parent) as entries:
         for entry in entries:
-            if entry.name.startswith(PREFIX):
+            if entry.name.startswith(PREFIX) and entry.name != keep:
                 _remove_without_owner(Path(entry.path))
 
 
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[bool]:
-    """Context that locks a folder; whether no other process holds its lock.
+def lock_folder(folder: Path) -> int | None:
+    """Lock a folder; the descriptor that holds the lock, or None if another process holds it.
 
     Raises:
         OSError: the folder cannot be opened.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    with _closing(descriptor):
-        yield _try_lock(descriptor) is not False
+    if _try_lock(descriptor) is False:
+        os.close(descriptor)
+        return None
+    return descriptor
 
 
 def remove(path: Path) -> None:

@@ -13,6 +13,7 @@ from lxml import etree
 
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
+from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.paths import read_bytes
 
 Element: TypeAlias = etree._Element
@@ -73,6 +74,19 @@ def parse_bytes(data: bytes, path: Path) -> Element:
         FormatError: as :func:`parse`.
     """
     return _parse(data, path)[0]
+
+
+def content_sha256(path: Path) -> str:
+    """Return the SHA-256 of an XML file's elements and attributes, hex.
+
+    Comments, white space, the order of attributes and the style of quotes do not change it.
+
+    Raises:
+        PathError, LimitError, FormatError: as :func:`parse`.
+    """
+    # Canonical XML 2.0; the type stubs of lxml know only version 1.
+    text = etree.tostring(parse(path), method="c14n2", with_comments=False, strip_text=True)  # type: ignore[call-overload]
+    return bytes_sha256(bytes(text))
 
 
 def plain_name(name: str, element: Element) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from pytest_twin import staleness
 from pytest_twin.errors import TwinError
 from pytest_twin.gate import specs
+from pytest_twin.gate.asset_chain import changes_since, lost_manifests
 from pytest_twin.gate.authority import recorded_without_authority
 from pytest_twin.gate.identity import digests
 from pytest_twin.gate.parts import changed_since, collect_dependencies
@@ -142,8 +143,15 @@ class Gate:
                 path.relative_to(self.root).as_posix() for path in traces if path not in referred
             ),
             files=current.files,
-            problems=(*broken.values(), *current.problems, *recorded_without_authority(goldens)),
+            problems=(
+                *broken.values(),
+                *current.problems,
+                *(() if known is None else lost_manifests(known, current.chain, self.twin)),
+                *recorded_without_authority(goldens),
+            ),
             notes=notes,
+            chain=current.chain.content,
+            chain_changes=() if baseline is None else tuple(changes_since(baseline, current.chain)),
         )
 
     def _baseline(self) -> tuple[Release | None, Release | None, tuple[str, ...]]:
@@ -237,6 +245,7 @@ class Gate:
             dropped=plan.dropped,
             changed=self._changed(plan) if self.outcomes else (),
             problems=plan.problems,
+            chain_changes=plan.chain_changes,
             baseline=None if plan.baseline is None else plan.baseline.number,
             session=session,
         )
@@ -268,6 +277,7 @@ class Gate:
 
         return {
             "asset": digests_of(twin.source),
+            "chain": dict(self.plan().chain),
             "realizations": {
                 name: digests_of([ref.file]) for name, ref in twin.realizations.items()
             },

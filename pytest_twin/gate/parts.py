@@ -12,8 +12,8 @@ from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import bytes_sha256, file_sha256
+from pytest_twin.gate.asset_chain import AssetChain, chain_of
 from pytest_twin.gate.promotion import unpromoted_lines
-from pytest_twin.gate.source_changes import changed_sources
 from pytest_twin.golden import Golden
 from pytest_twin.installed import entry_points_by_name, package_of
 from pytest_twin.realization.features.cache import Features, features_of
@@ -33,12 +33,14 @@ class CollectedDependencies:
         files: file -> SHA-256.
         problems: errors while the dependencies were collected, one line each.
         unread: realizations whose model could not be read.
+        chain: from the supplier's archive to the models.
     """
 
     dependencies: DependencyMap
     files: Mapping[Path, str]
     problems: tuple[str, ...]
     unread: frozenset[str]
+    chain: AssetChain
 
 
 def collect_dependencies(
@@ -66,6 +68,8 @@ def collect_dependencies(
         files[golden.path] = None
         if golden.trace is not None:
             files[golden.path.parent / golden.trace.file] = None
+    chain = chain_of(twin)
+    files.update(dict.fromkeys(chain.files))
     digests: dict[Path, str] = {}
 
     def digest(path: Path) -> str:
@@ -94,7 +98,7 @@ def collect_dependencies(
         golden.kind: _CheckWithReportedErrors(check_of(golden.kind), problems) for golden in goldens
     }
     lookups = Lookups(checks.__getitem__, installed_version, file_digest)
-    problems += changed_sources(twin)
+    problems += chain.problems
     problems += unpromoted_lines(twin)
     problems += map(str, rule_problems(twin, goldens, models, kinds()))
     dependencies = dependency_map(twin, goldens, models, lookups)
@@ -105,7 +109,7 @@ def collect_dependencies(
             problems.append(str(error))
     wanted = {name for golden in goldens for name in golden.realizations}
     return CollectedDependencies(
-        dependencies, digests, tuple(problems), frozenset(wanted - models.keys())
+        dependencies, digests, tuple(problems), frozenset(wanted - models.keys()), chain
     )
 
 

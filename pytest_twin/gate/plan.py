@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pytest_twin import staleness
 from pytest_twin.dependency import Part
@@ -64,6 +64,8 @@ class Plan:
         files: file -> SHA-256 before the run.
         problems: reasons against a release that do not depend on the outcomes.
         notes: further lines for the terminal.
+        chain: from the supplier's archive to the models, as a release states it.
+        chain_changes: steps of the chain that differ from the baseline, one line each.
     """
 
     tasks: Mapping[str, Task]
@@ -75,6 +77,8 @@ class Plan:
     files: Mapping[Path, str] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    chain: Mapping[str, Any] = field(default_factory=dict)
+    chain_changes: tuple[str, ...] = ()
 
     @property
     def stale(self) -> tuple[Task, ...]:

@@ -31,6 +31,7 @@ def why_lines(plan: Plan) -> list[str]:
     lines += [f"missing  {ident}" for ident in plan.missing]
     lines += [f"dropped  {key}  (retired, or its realization was removed)" for key in plan.dropped]
     lines += [f"orphaned trace  {name}" for name in plan.orphans]
+    lines += plan.chain_changes
     lines += list(plan.problems)
     lines.append(f"{len(plan.stale)} stale, {len(plan.fresh)} fresh")
     return lines

@@ -79,7 +79,11 @@ def finish(
     proven = facts.proven.keys() - facts.outcomes.keys()
     if proven and plan.baseline is not None:
         lines.append(f"{len(proven)} still proven by release {plan.baseline.number:04d}")
+    lines += facts.chain_changes
     lines += [f"changed during the run: {changed}" for changed in facts.changed]
+    if not policy.sign:
+        shown_before = set(session.collection_errors)
+        lines += [f"blocks a release: {p}" for p in facts.problems if p not in shown_before]
     if facts.outcomes:
         simulators = {name: ref.simulator for name, ref in gate.twin.realizations.items()}
         goldens = {task.golden.id: task.golden for task in plan.tasks.values()}

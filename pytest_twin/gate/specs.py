@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.asset.manifest import is_source_folder
 from pytest_twin.checks import check_of, kinds
 from pytest_twin.errors import SpecError, TwinError, UnwrittenToleranceError
 from pytest_twin.formats import yaml
@@ -25,8 +26,9 @@ _SKIPPED_FOLDERS = ("build", "dist", "node_modules", "venv")
 
 
 def is_reserved(folder: Path) -> bool:
-    """Whether ``folder`` contains output of pytest-twin: releases, keys or caches."""
-    return folder.name in RESERVED_FOLDERS and (folder.parent / FILE_NAME).is_file()
+    """Whether ``folder`` contains releases, keys, caches or the source of an asset: no specs."""
+    own = folder.name in RESERVED_FOLDERS and (folder.parent / FILE_NAME).is_file()
+    return own or is_source_folder(folder)
 
 
 def spec_paths(twin: Twin) -> tuple[Path, ...]:

@@ -14,12 +14,12 @@ from pytest_twin.outcome import Measure, Outcome
 
 @dataclass(frozen=True, slots=True)
 class Releasable:
-    """All goldens have a valid result, and some are new: a release may be signed."""
+    """All goldens have a valid result, and something is new: a release may be signed."""
 
 
 @dataclass(frozen=True, slots=True)
 class StillValid:
-    """The baseline release is still valid for all goldens, and none was added or removed."""
+    """The baseline is valid for all goldens and for the asset, and no golden was removed."""
 
     release: int
 
@@ -66,6 +66,8 @@ class Facts:
         dropped: keys in the baseline that were retired or whose realization was removed.
         changed: changes of files or packages during the run, one phrase each.
         problems: other reasons against a release of this twin.
+        chain_changes: steps from the supplier's files to the models that differ from the baseline,
+            one line each.
         baseline: number of the baseline release, or None.
         session: facts of the session.
     """
@@ -80,6 +82,7 @@ class Facts:
     dropped: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
+    chain_changes: tuple[str, ...] = ()
     baseline: int | None = None
     session: SessionFacts = field(default_factory=SessionFacts)
 
@@ -90,7 +93,8 @@ def judge(facts: Facts) -> Verdict:
     if reasons:
         return Refused(reasons)
     news = facts.outcomes.keys() - facts.repeated
-    if facts.baseline is not None and not news and not facts.dropped:
+    news |= {*facts.dropped, *facts.chain_changes}
+    if facts.baseline is not None and not news:
         return StillValid(facts.baseline)
     return Releasable()
 

@@ -147,7 +147,7 @@ def keys_of(dataset: Path, found: list[StampedFile], folder: Path | None) -> lis
         ReleaseError: no twin with keys was found.
     """
     if folder is not None:
-        return trusted_keys.load_trusted(folder.resolve())
+        return trusted_keys.load_trusted(folder)
     if not any(one.stamp for one in found):
         return []
     root = twin_that_stamped(dataset, found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from pathlib import PurePosixPath
 from typing import Any, Literal
 
 from securesystemslib.signer import Key
@@ -189,8 +190,32 @@ def _files(release: Release, listing: Mapping[str, FolderEntry]) -> Iterator[Pro
     stated = {entry.name: entry for entry in release.files}
     yield from _misplaced_files(stated)
     yield from _unlisted_entries(stated, listing)
+    steps = _steps_of_asset(release)
     for name, entry in stated.items():
-        yield from _changed_file(name, entry, listing.get(name))
+        step = steps.get((entry.original or name).removeprefix(f"{FILES}/"))
+        of = "" if step is None else f" ({step})"
+        for problem in _changed_file(name, entry, listing.get(name)):
+            yield Problem(problem.code, f"{problem.text}{of}")
+
+
+def _steps_of_asset(release: Release) -> dict[str, str]:
+    """Path in the twin's folder -> step from the supplier's files to the model that it belongs to.
+
+    The chain is that of the signed statement; of one with another layout no step is named.
+    """
+    steps: dict[str, str] = {}
+    try:
+        for manifest, content in release.ids.get("chain", {}).items():
+            at = PurePosixPath(manifest).parent
+            of_asset = f"of the asset {content['asset']!r}"
+            steps[manifest] = f"manifest {of_asset}"
+            for state, facts in content["states"].items():
+                link = facts["made"].get("from", {"state": "source", "files": {}})
+                steps |= {str(at / file): f"{link['state']} {of_asset}" for file in link["files"]}
+                steps |= {str(at / file): f"{state} {of_asset}" for file in facts.get("files", ())}
+    except (AttributeError, KeyError, TypeError):
+        return {}
+    return steps
 
 
 def _misplaced_files(stated: Mapping[str, FileEntry]) -> Iterator[Problem]:

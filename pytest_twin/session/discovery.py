@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_twin.gate.specs import GOLDEN_FOLDER, RESERVED_FOLDERS
+from pytest_twin.gate.specs import GOLDEN_FOLDER, is_reserved
 from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, find_twin
 
 
@@ -48,5 +48,5 @@ def _below(start: Path, skipped: list[str]) -> Iterator[Path]:
             name
             for name in folders
             if not any(fnmatch.fnmatch(name, pattern) for pattern in skipped)
-            and not (has_twin and name in RESERVED_FOLDERS)
+            and not is_reserved(Path(here) / name)
         ]

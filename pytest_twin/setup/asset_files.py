@@ -25,6 +25,8 @@ class RobotFiles:
         root: root folder of the model.
         packages: ROS package -> its folder.
         others: further folders from the user.
+        asset: files of the asset that the model is a state of, its manifest first; empty if it has
+            none.
     """
 
     model: Path
@@ -32,6 +34,7 @@ class RobotFiles:
     root: Path
     packages: Mapping[str, Path] = field(default_factory=dict)
     others: Sequence[Path] = ()
+    asset: Sequence[Path] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +45,13 @@ class CopiedFiles:
         model: the model file.
         files: all files.
         roots: roots that ``twin.yaml`` must declare: name -> folder.
+        manifest: manifest of the asset in the twin's folder; None without one.
     """
 
     model: Path
     files: list[Path]
     roots: dict[str, Path]
+    manifest: Path | None = None
 
 
 def copy_into_twin(robot: RobotFiles, folder: Path) -> CopiedFiles:
@@ -54,7 +59,8 @@ def copy_into_twin(robot: RobotFiles, folder: Path) -> CopiedFiles:
 
     The copy keeps the folders between the files of one root, and each package outside the root
     gets a folder with its name. Files that the model refers to by an absolute path are not copied;
-    their folder is added to the roots.
+    their folder is added to the roots. An asset with a manifest is copied whole, so that the twin
+    keeps the link from the model to the supplier's files.
 
     Raises:
         SpecError: the folder for the asset exists already.
@@ -63,9 +69,11 @@ def copy_into_twin(robot: RobotFiles, folder: Path) -> CopiedFiles:
         wider = {} if robot.root == robot.model.parent else {_name(robot.root): robot.root}
         known = {**wider, **robot.packages}
         inside = {name: place for name, place in known.items() if place.is_relative_to(folder)}
-        return CopiedFiles(robot.model, list(robot.files), inside)
+        manifest = next(iter(robot.asset), None)
+        return CopiedFiles(robot.model, list(robot.files), inside, manifest)
     fixed = [path for path in robot.files if _is_named_absolutely(path, robot)]
-    copied = [path for path in robot.files if path not in fixed]
+    in_asset = [path for path in robot.asset if path.is_file()]
+    copied = [path for path in dict.fromkeys((*robot.files, *in_asset)) if path not in fixed]
     bases = _bases(robot, copied)
     asset = folder / ASSET
     places = {base: asset / name for base, name in bases.items()}
@@ -78,7 +86,8 @@ def copy_into_twin(robot: RobotFiles, folder: Path) -> CopiedFiles:
         for path, target in moved.items():
             copy = staging / target.relative_to(asset)
             copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, copy)
+            # With its mode: the files of a source are read-only.
+            shutil.copy(path, copy)
         asset.mkdir(parents=True, exist_ok=True)
         for name in bases.values():
             if (staging / name).exists():
@@ -94,7 +103,12 @@ def copy_into_twin(robot: RobotFiles, folder: Path) -> CopiedFiles:
     for path in fixed:
         roots.setdefault(_name(path.parent), path.parent)
     roots = {name: place for name, place in roots.items() if place.is_dir()}
-    return CopiedFiles(moved[robot.model], [moved.get(path, path) for path in robot.files], roots)
+    return CopiedFiles(
+        moved[robot.model],
+        [moved.get(path, path) for path in robot.files],
+        roots,
+        moved[robot.asset[0]] if robot.asset else None,
+    )
 
 
 def _bases(robot: RobotFiles, files: Sequence[Path]) -> dict[Path, str]:
@@ -104,6 +118,7 @@ def _bases(robot: RobotFiles, files: Sequence[Path]) -> dict[Path, str]:
         for name, package in robot.packages.items()
         if any(path.is_relative_to(package) for path in files)
         and not package.is_relative_to(robot.root)
+        and not (robot.asset and package.is_relative_to(robot.asset[0].parent))
         and not robot.model.is_relative_to(package)
     }
     rest = [path for path in files if not any(path.is_relative_to(base) for base in packages)]

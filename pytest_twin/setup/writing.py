@@ -99,8 +99,10 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
         "schema": 1,
         "name": first.name,
         "model": first.model.relative_to(folder).as_posix(),
-        "source": sorted(_relative_path(folder, path) for path in first.source),
     }
+    source = sorted(_relative_path(folder, path) for path in first.source)
+    if source:
+        content["source"] = source
     if first.roots:
         content["roots"] = {
             name: _relative_path(folder, root) for name, root in sorted(first.roots.items())

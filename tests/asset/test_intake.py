@@ -14,7 +14,7 @@ import pytest
 from asset_robots import write_arm
 
 from pytest_twin.asset import manifest
-from pytest_twin.asset.evidence import kind_of, missing
+from pytest_twin.asset.evidence import kind_of, missing, sort_files
 from pytest_twin.asset.unpack import IntakeLimits, unpack
 from pytest_twin.cli import main
 from pytest_twin.errors import FormatError, LimitError, PathError
@@ -162,21 +162,84 @@ def test_a_folder_with_a_link_is_refused(tmp_path: Path) -> None:
         unpack_archive(tmp_path / "asset")
 
 
-def test_the_kind_of_a_document_is_taken_from_its_path() -> None:
-    names = {
-        "docs/manual.pdf": "manual",
-        "docs/User_Guide.md": "manual",
-        "README.md": "note",
-        "cad/arm.STEP": "CAD",
-        "cal/Calibration-1234.pdf": "calibration certificate",
-        "firmware/v3.bin": "firmware",
-        "sdk/include/robot.h": "SDK",
-        "urdf/arm.urdf": "model",
-        "meshes/arm.stl": "mesh",
-        "odd": "other",
+KINDS = {
+    "docs/manual.pdf": "manual",
+    "docs/User_Guide.md": "manual",
+    "sdk/Programming_Guide.pdf": "manual",
+    "README.md": "note",
+    "cad/arm.STEP": "CAD",
+    "cal/Calibration-1234.pdf": "calibration certificate",
+    "docs/naming_table.csv": "naming table",
+    "Joint-Names.xlsx": "naming table",
+    "nomenclature.pdf": "naming table",
+    "firmware/v3.bin": "firmware",
+    "firmware/update_3.10.zip": "firmware",
+    "controller-FW-3.10.tar.gz": "firmware",
+    "Firmware Release/version.txt": "firmware",
+    "firmware/release_notes.txt": "note",
+    "sdk/include/robot.h": "SDK",
+    "arm_sdk-1.2/python/arm.py": "SDK",
+    "ArmSDK.zip": "SDK",
+    "robot_api.py": "SDK",
+    "sdk/html/index.html": "SDK",
+    "SDK/LICENSE": "licence",
+    "sdk/urdf/arm.urdf": "model",
+    "sdk/meshes/fw_link.stl": "mesh",
+    "urdf/arm.urdf": "model",
+    "meshes/arm.stl": "mesh",
+    "odd": "other",
+    "misc/rapid_capital.yaml": "configuration",
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_kind_of_a_file_is_taken_from_its_path(name: str) -> None:
+    assert kind_of(name) == KINDS[name]
+
+
+def test_the_vertices_beside_a_gltf_file_are_no_firmware() -> None:
+    names = ["meshes/arm.gltf", "meshes/arm.bin", "arm.bin"]
+    assert sort_files(names) == {
+        "firmware": ["arm.bin"],
+        "mesh": ["meshes/arm.bin", "meshes/arm.gltf"],
     }
-    assert {name: kind_of(name) for name in names} == names
-    assert missing(["CAD", "manual"]) == ["calibration certificate", "firmware", "SDK"]
+
+
+def test_missing_kinds_are_listed() -> None:
+    assert missing(["CAD", "manual"]) == [
+        "calibration certificate",
+        "naming table",
+        "firmware",
+        "SDK",
+    ]
+
+
+def test_files_that_pytest_twin_wrote_are_no_evidence_of_the_supplier(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What audit, realize and init of an earlier day left in the folder that is taken in."""
+    urdf = write_arm(tmp_path)
+    package = urdf.parents[1]
+    monkeypatch.chdir(package)
+    assert main(["audit", str(urdf)]) in (0, 1)
+    assert main(["realize", str(urdf), "--out", str(package / "realized")]) == 0
+    (package / "golden").mkdir()
+    modeline = "# yaml-language-server: $schema=../schemas/golden.schema.json\n"
+    (package / "golden/fk.yaml").write_text(f"{modeline}schema: 1\nkind: fk\n")
+    # Files of the supplier that resemble them by name.
+    (package / "report.html").write_text("<html>tests of the arm</html>")
+    (package / "calibration.json").write_text('{"schema": 1, "date": "2024-05-06"}')
+    out = tmp_path / "taken"
+    assert main(["intake", str(package), "--out", str(out)]) == 0
+    source = json.loads((out / "manifest.json").read_text())["states"]["source"]
+    own = {name.removeprefix("source/") for name in source["evidence"]["written by pytest-twin"]}
+    realized = {file.relative_to(package).as_posix() for file in (package / "realized").rglob("*")}
+    assert own == {"arm.urdf.audit.html", "arm.urdf.audit.json", "golden/fk.yaml"} | (
+        realized - {"realized/meshes"}
+    )
+    assert source["evidence"]["manual"] == ["source/report.html"]
+    assert source["evidence"]["calibration certificate"] == ["source/calibration.json"]
+    assert source["evidence"]["model"] == ["source/urdf/arm.urdf"]
 
 
 def test_intake_writes_a_manifest_and_refuses_to_run_again(
@@ -201,7 +264,8 @@ def test_intake_writes_a_manifest_and_refuses_to_run_again(
     assert f"next: pytest-twin realize {out}/source/urdf/arm.urdf" in printed
     source = json.loads((out / "manifest.json").read_text())["states"]["source"]
     assert (source["supplier"], source["received"]) == ("Arms", "2024-05-06")
-    assert source["missing"] == ["CAD", "calibration certificate", "firmware", "SDK"]
+    wanted = ["CAD", "calibration certificate", "naming table", "firmware", "SDK"]
+    assert source["missing"] == wanted
     assert source["evidence"]["manual"] == ["source/manual.pdf"]
     for name, digest in source["files"].items():
         assert file_sha256(out / name) == digest
@@ -217,6 +281,10 @@ def test_a_modified_manifest_is_refused(tmp_path: Path) -> None:
     assert manifest.read(path).states["source"].digest == state.digest
     path.write_text(path.read_text().replace(state.files["a"], "0" * 64))
     with pytest.raises(FormatError, match="the digest does not follow from the files"):
+        manifest.read(path)
+    manifest.write(path, manifest.Manifest("robot", {"source": state}))
+    path.write_text(path.read_text().replace('"robot"', '"tobor"'))
+    with pytest.raises(FormatError, match="the manifest was changed"):
         manifest.read(path)
     path.write_text('{"schema": 1, "asset": "x", "states": {"source": {"files": {"../a": "0"}}}}')
     with pytest.raises(FormatError, match="not a state"):
