@@ -20,11 +20,13 @@ stamp to stamp. ``ramped``: linear from the stamp to one command period after it
 """
 
 Units = Literal["rad", "deg"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
 
 COMMAND_MODES: tuple[CommandMode, ...] = get_args(CommandMode)
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
 COMMAND_BETWEEN: tuple[CommandBetween, ...] = get_args(CommandBetween)
 UNITS: tuple[Units, ...] = get_args(Units)
+TIME_UNITS: tuple[TimeUnit, ...] = get_args(TimeUnit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,8 @@ class RecordingOptions:
         command_between: course of a command between two stamps; overrides the recording.
         command_between_default: the same for recordings whose metadata do not state it.
         columns: CSV files: header -> meaning of the column, or the reverse.
-        units: LeRobot data sets: unit of their joint positions.
+        units: unit of the angles, where the recording states none or a wrong one.
+        time_unit: CSV files: unit of the times.
         signals: side of the gears, units and meaning of the joints' positions and efforts.
     """
 
@@ -90,6 +93,7 @@ class RecordingOptions:
     command_between_default: CommandBetween | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Units | None = None
+    time_unit: TimeUnit | None = None
     signals: Signals = NO_SIGNALS
 
     def mode_of(self, joint: str) -> CommandMode | None:
@@ -119,6 +123,7 @@ class RecordingOptions:
             "command_between_default": self.command_between_default,
             "columns": dict(self.columns),
             "units": self.units,
+            "time_unit": self.time_unit,
             "signals": dict(self.signals.table),
         }
         return {key: value for key, value in found.items() if value}
@@ -134,6 +139,7 @@ class RecordingOptions:
             command_between_default=data.get("command_between_default"),
             columns=dict(data.get("columns") or {}),
             units=data.get("units"),
+            time_unit=data.get("time_unit"),
             signals=Signals.from_json(data.get("signals") or {}),
         )
 

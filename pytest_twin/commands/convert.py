@@ -16,6 +16,7 @@ from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
     add_reading_arguments,
     add_topics_argument,
+    parse_trial,
 )
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import RecordingError, TwinError
@@ -60,6 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_topics_argument(parser)
     add_reading_arguments(parser)
     parser.add_argument(
+        "--trial",
+        metavar="KEY=VALUE,...",
+        type=parse_trial,
+        default={},
+        help="metadata of the trial that the file does not carry, such as role=fit, payload=kg05, "
+        "controller=soft or temperature='20 C'; they replace those of the recording",
+    )
+    parser.add_argument(
         "--command-mode",
         choices=COMMAND_MODES,
         help="quantity of commands in formats that do not state it: columns NAME.command of a CSV "
@@ -87,8 +96,12 @@ def run(args: argparse.Namespace) -> int:
                 "inputs": [str(path) for path in args.inputs],
                 "out": str(staging / out.name),
                 "topics": args.topics,
-                "columns": args.columns,
-                "units": args.units,
+                "reading": {
+                    "columns": args.columns,
+                    "units": args.units,
+                    "time_unit": args.time_unit,
+                },
+                "trial": args.trial,
                 "command_mode": args.command_mode,
             },
         )
@@ -105,8 +118,8 @@ def convert_files(
     inputs: Sequence[str],
     out: str,
     topics: Mapping[str, str],
-    columns: Mapping[str, str],
-    units: str | None,
+    reading: Mapping[str, Any],
+    trial: Mapping[str, str],
     command_mode: str | None,
 ) -> dict[str, Any]:
     """Read all inputs, then write all files; runs in the child process.
@@ -117,14 +130,13 @@ def convert_files(
     recordings = [
         recording
         for path in inputs
-        for recording in read_recordings(
-            Path(path), {**TOPICS, **topics}, columns=columns, units=units
-        )
+        for recording in read_recordings(Path(path), {**TOPICS, **topics}, **reading)
     ]
     files = names_of(Path(out), len(recordings))
     written = []
     for file, recording in zip(files, recordings, strict=True):
         series, notes = convert_series(recording, command_mode)
+        recording = replace(recording, metadata={**recording.metadata, **trial})
         write_recording(file, list(series.values()), recording.metadata)
         written.append(_summary(file, recording, series, (*recording.notes, *notes)))
     return {"schema": 1, "written": written}
@@ -158,7 +170,7 @@ def convert_series(
     notes = [_missing_role_note(recording, role) for role in TOPICS if role not in recording.series]
     series = dict(recording.series)
     command = series.get("command")
-    if command is not None and _is_of_any_quantity(command):
+    if command is not None and all(map(command.has_any_quantity, range(len(command.names)))):
         mode = command_mode or _command_kind(command, series.get("state"))
         if mode is None:
             notes.append(
@@ -190,15 +202,6 @@ def _missing_role_note(recording: Recording, role: str) -> str:
     """Return a note that a role is missing, with candidate topics."""
     found = pairs(recording)
     return f"no {role}s" + (f"; to read them: {topics_option(*found[0])}" if found else "")
-
-
-def _is_of_any_quantity(series: JointSeries) -> bool:
-    first = series.position
-    if first is None or series.velocity is None or series.effort is None:
-        return False
-    return all(
-        np.array_equal(first, other, equal_nan=True) for other in (series.velocity, series.effort)
-    )
 
 
 def _command_kind(command: JointSeries, state: JointSeries | None) -> str | None:

@@ -11,6 +11,7 @@ from pytest_twin.recording_options import (
     CLOCKS,
     COMMAND_BETWEEN,
     COMMAND_MODES,
+    TIME_UNITS,
     UNITS,
     CommandMode,
 )
@@ -107,8 +108,14 @@ def add_reading_arguments(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--units",
         choices=UNITS,
-        help="for a LeRobot data set: unit of its joints (default: the declared unit, else "
-        "detected from the values and reported)",
+        help="unit of angles and angular velocities, but for columns that state one (default: rad; "
+        "for a LeRobot data set the declared unit, else detected from the values and reported)",
+    )
+    group.add_argument(
+        "--time-unit",
+        choices=TIME_UNITS,
+        help="for a CSV file: unit of its times (default: the heading's, else detected from dates "
+        "and sampling rate and reported)",
     )
 
 
@@ -121,6 +128,7 @@ def recording_options(args: argparse.Namespace) -> dict[str, Any]:
         "command_between": args.command_between,
         "columns": args.columns,
         "units": args.units,
+        "time_unit": args.time_unit,
     }
     return {key: value for key, value in given.items() if value}
 
@@ -146,6 +154,14 @@ def parse_joints(text: str) -> dict[str, str]:
 def parse_columns(text: str) -> dict[str, str]:
     """Parse ``t=time,q1=elbow.position`` of a command line."""
     return _pairs(text, "HEADER=MEANING with commas between")
+
+
+def parse_trial(text: str) -> dict[str, str]:
+    """Parse ``role=fit,payload=kg05`` of a command line."""
+    found = _pairs(text, "KEY=VALUE with commas between")
+    if not all(text.isprintable() for pair in found.items() for text in pair):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected printable text")
+    return found
 
 
 def parse_command_mode(text: str) -> CommandMode | dict[str, str]:

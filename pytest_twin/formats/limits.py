@@ -83,9 +83,14 @@ class McapLimits:
 
 @dataclass(frozen=True, slots=True)
 class CsvLimits:
-    """Bounds on a recording in CSV: an hour of a seven-joint arm at 1 kHz fits."""
+    """Bounds on a recording in CSV: an hour of a seven-joint arm at 1 kHz fits.
+
+    Numbers compress about 4 to 1 in gzip, columns that never change up to 50 to 1.
+    """
 
     file_bytes: int = 4 * 2**30
+    unpacked_free_bytes: int = 64 * 2**20
+    unpacked_ratio: int = 100
     header_bytes: int = 2**20
     columns_count: int = 8192
     name_chars: int = 256

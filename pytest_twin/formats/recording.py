@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from pytest_twin.formats.ros_serialization import Floats, Integers
 
+DEGREE = math.pi / 180.0
+"""rad."""
 _NOTES = 40
 """Largest number of notes on a recording."""
 
@@ -32,6 +37,9 @@ class JointSeries:
         stamped: whether any message has a ``header.stamp`` of its own.
         from_trajectories: whether these are setpoints of trajectories, so that velocities are
             slopes of the positions.
+        degrees: (j,) joints whose positions and velocities were degrees, because an option or the
+            format said so of all joints; they are rad now. Empty if there is none.
+        stated: joints whose unit the recording itself states; no option changes it.
     """
 
     topic: str
@@ -43,6 +51,31 @@ class JointSeries:
     effort: Floats | None
     stamped: bool = True
     from_trajectories: bool = False
+    degrees: tuple[bool, ...] = ()
+    stated: frozenset[str] = frozenset()
+
+    def from_degrees(self) -> JointSeries:
+        """The series with positions and velocities in rad, if the recorded ones are degrees."""
+        degrees = tuple(name not in self.stated for name in self.names)
+        scale = np.where(degrees, DEGREE, 1.0)
+        return replace(
+            self,
+            position=None if self.position is None else self.position * scale,
+            velocity=None if self.velocity is None else self.velocity * scale,
+            degrees=degrees,
+        )
+
+    def has_any_quantity(self, column: int) -> bool:
+        """Whether the fields of a joint have the same values, as where none is stated."""
+        if self.position is None or self.velocity is None or self.effort is None:
+            return False
+        scale = DEGREE if self.degrees and self.degrees[column] else 1.0
+        position, velocity = self.position[:, column], self.velocity[:, column]
+        effort = self.effort[:, column] * scale
+        return bool(
+            np.array_equal(position, velocity, equal_nan=True)
+            and np.array_equal(position, effort, equal_nan=True)
+        )
 
 
 @dataclass(frozen=True)

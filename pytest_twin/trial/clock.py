@@ -131,6 +131,9 @@ def _lacks_stamp(series: JointSeries) -> NDArray[np.bool_]:
     if not series.stamped:
         return np.ones(len(series.stamp), dtype=bool)
     none: NDArray[np.bool_] = series.stamp == 0
+    if _is_log(series):
+        # A format with one time for each row has no stamp that may be missing.
+        return np.zeros_like(none)
     if none.sum() == 1 and none[0] and len(none) > 2:
         usual = float(np.median(np.diff(series.stamp[1:])))
         if series.stamp[1] <= _STEP_INTERVALS * max(usual, 1.0):

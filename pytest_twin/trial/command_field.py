@@ -110,7 +110,7 @@ def choose_command_fields(
         joints.append(joint)
         modes.append(mode)
         columns.append(table[:, column])
-        if asked is None and _are_equal(series, column, filled):
+        if asked is None and len(filled) > 1 and series.has_any_quantity(column):
             unstated.add(joint)
         used = {mode, "velocity"} if series.from_trajectories and mode == "position" else {mode}
         rest = tuple(name for name in filled if name not in used)
@@ -145,12 +145,6 @@ def _filled_modes(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
         for name in COMMAND_MODES
         if (table := getattr(series, name)) is not None and not np.isnan(table[:, column]).all()
     )
-
-
-def _are_equal(series: JointSeries, column: int, filled: Sequence[CommandMode]) -> bool:
-    """Whether several fields have the same values: readers do so where a format states no field."""
-    first, *others = (getattr(series, name)[:, column] for name in filled)
-    return bool(others) and all(np.array_equal(first, one, equal_nan=True) for one in others)
 
 
 def _fields_without_actuator(

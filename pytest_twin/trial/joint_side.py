@@ -109,6 +109,13 @@ def states_at_joints(
     """
     if signals == NO_SIGNALS or states.position is None:
         return states, []
+    for name, is_degree in zip(states.names, states.degrees, strict=False):
+        if is_degree and signals.of(name).position.unit not in ("rad", "m"):
+            raise RecordingError(
+                f"two units of joint {name!r} are declared", path=path, where=states.topic,
+                value=f"units: deg, and signals: unit: {signals.of(name).position.unit}",
+                expected="one of them",
+            )  # fmt: skip
     try:
         position, velocity, notes = positions_at_joints(
             states.names, np.asarray(states.position, dtype=np.float64), states.velocity, signals

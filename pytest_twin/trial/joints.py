@@ -64,6 +64,7 @@ def in_model_names(
             position=None if series.position is None else series.position[:, keep],
             velocity=None if series.velocity is None else series.velocity[:, keep],
             effort=None if series.effort is None else series.effort[:, keep],
+            degrees=tuple(series.degrees[i] for i in keep) if series.degrees else (),
         )
     return series, notes
 

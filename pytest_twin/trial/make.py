@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
-from pytest_twin.formats.recording import JointSeries, Recording
+from pytest_twin.formats.recording import DEGREE, JointSeries, Recording
 from pytest_twin.formats.recordings.candidates import what_to_do
 from pytest_twin.recording_options import (
     COMMAND_BETWEEN,
@@ -94,6 +94,9 @@ def _whole(
             series, placed = name_by_actuators(series, options.joints, structure.actuator_joints)
             notes += placed
         series, said = in_model_names(series, options.joints, joints, recording.path)
+        if structure is not None:
+            series, metres = _metres_of_slides(series, structure)
+            notes += metres
         topics.append(series)
         notes += said
     states, commands = topics
@@ -143,6 +146,23 @@ def _series(recording: Recording, role: str) -> JointSeries:
     if "--topics" not in advice:
         advice += "; topics are mapped in twin.yaml or by --topics state=/x,command=/y"
     raise RecordingError(f"no {role} messages", path=recording.path, where=role, expected=advice)
+
+
+def _metres_of_slides(series: JointSeries, structure: Structure) -> tuple[JointSeries, list[str]]:
+    """The series with prismatic joints as written, if all joints were read as degrees."""
+    slides = np.array([
+        is_degree and structure.joint_type.get(name) == "slide"
+        for name, is_degree in zip(series.names, series.degrees, strict=False)
+    ])  # fmt: skip
+    if not slides.any():
+        return series, []
+    scale = np.where(slides, 1.0 / DEGREE, 1.0)
+    names = [name for name, slide in zip(series.names, slides, strict=True) if slide]
+    return replace(
+        series,
+        position=None if series.position is None else series.position * scale,
+        velocity=None if series.velocity is None else series.velocity * scale,
+    ), [f"{series.topic}: prismatic joints are read in m, not in degrees: {list_names(names)}"]
 
 
 def _between(recording: Recording, options: RecordingOptions) -> tuple[CommandBetween, str]:
@@ -196,6 +216,7 @@ class _Maker:
         self.note_order(states, start)
         self.note_order(commands, start)
         time = _seconds(rows.stamp, start)
+        self.checks.refuse_coarse_stamps(time, topic)
         position = rows.fields["position"]
         assert position is not None
         command_time, command, own = self.commands(commands, start)

@@ -24,7 +24,9 @@ def recordings_at(
     Raises:
         TwinError: it cannot be read.
     """
-    return read_recordings(path, topics, columns=options.columns, units=options.units)
+    return read_recordings(
+        path, topics, columns=options.columns, units=options.units, time_unit=options.time_unit
+    )
 
 
 def recording_at(
@@ -46,7 +48,9 @@ def recording_at(
         TwinError: it cannot be read.
     """
     if episode is None:
-        return read_one(path, topics, columns=options.columns, units=options.units)
+        return read_one(
+            path, topics, columns=options.columns, units=options.units, time_unit=options.time_unit
+        )
     found = recordings_at(path, topics, options)
     if not 0 <= episode < len(found):
         last = len(found) - 1

@@ -41,6 +41,9 @@ _MAX_MARKS = 200
 # Two publishers alternate if the distance to the next sample is this many times that to the second
 # next one, and at least this distance, rad or m. The third number is the least number of samples.
 _ALTERNATION, _ALTERNATION_SPAN, _ALTERNATION_SAMPLES = 10.0, 0.02, 40
+# Fraction of states at the time of the one before, above which stamps have too few digits. Two
+# publishers of one joint give 0.5.
+_SHARED_STAMPS, _FEWEST_STAMPS = 0.55, 10
 # Fraction of repeated stamps above which a topic has two publishers.
 _REPEATED_SHARE = 0.25
 
@@ -112,6 +115,28 @@ class RecordingChecks:
             value=f"{table[row, column]} at {time[row]:.6g} s",
             expected=f"a finite number of {self.unit(joint, field)}",
         )
+
+    def refuse_coarse_stamps(self, time: FloatArray, topic: str) -> None:
+        """Check that states do not share their times, because stamps have too few digits.
+
+        Args:
+            time: (n,) stamps of states, s, not decreasing; messages of different joints at one
+                stamp are one state.
+            topic: name in the recording.
+
+        Raises:
+            RecordingError: most states have the time of the one before.
+        """
+        steps = np.diff(time)
+        if len(steps) < _FEWEST_STAMPS or np.mean(steps == 0.0) <= _SHARED_STAMPS:
+            return
+        different = len(time) - int((steps == 0.0).sum())
+        raise self.error(
+            "most states have the same time as the one before", topic,
+            value=f"{len(time)} states at {different} times",
+            expected="stamps that advance from sample to sample, with enough digits; or --clock "
+            "log where the recorder's times advance",
+        )  # fmt: skip
 
     def note_gaps(self, time: FloatArray, topic: str) -> None:
         """Mark intervals without messages."""

@@ -71,7 +71,11 @@ def test_times_in_seconds_or_whole_nanoseconds_are_converted_exactly(
 def test_whole_number_times_that_cannot_be_nanoseconds_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         read(tmp_path, "time,a.position\n0,1\n10,2\n20,3\n")
-    assert "times are integers, which are read as ns (got 'a step of 10 ns'" in str(caught.value)
+    assert (
+        "log.csv:2: time: the unit of the times is not known (got '0, 10, 20, ...: 0.1 Hz as s, "
+        "100 Hz as ms, 1e+05 Hz as us, 1e+08 Hz as ns'; expected --time-unit s, ms, us or ns, or "
+        "time_unit: in twin.yaml)"
+    ) in str(caught.value)
 
 
 def test_a_row_without_states_or_commands_is_no_message_of_that_kind(tmp_path: Path) -> None:
@@ -127,7 +131,7 @@ def test_line_endings_comments_byte_order_marks_and_quotes_are_accepted(
         ("time,a.position\n0.0,1\n1e300,2\n", "log.csv:3:1: time", "no time (got '1e300'"),
         ("time,a.position\n", "log.csv:2", "no rows"),
         ("", "log.csv:1", "fewer than two columns"),
-        ("time;a.position\n0;1\n", "log.csv:1", "not separated by commas"),
+        ("time|a.position\n0|1\n", "log.csv:1", "fewer than two columns"),
         ("t,a.position\n0.0,1\n", "log.csv:1", "no column of times"),
         ("time,q1\n0.0,1\n", "log.csv:1", "no column of a joint"),
         ("time,a.position,a.position\n0.0,1,2\n", "log.csv:1:3", "a heading occurs twice"),

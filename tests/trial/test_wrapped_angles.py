@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pytest_twin.trial.wrapped_angles import TURN, AmbiguousTurnsError, JointMotion, unwrap
@@ -50,6 +50,7 @@ def motions(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.random.Generato
     return time, position + rng.uniform(-10.0, 10.0), rng
 
 
+@settings(deadline=None)
 @given(motions(), st.sampled_from([-np.pi, 0.0]))
 def test_wrapped_positions_are_unwrapped_or_refused(
     drawn: tuple[np.ndarray, np.ndarray, np.random.Generator], start: float
@@ -66,6 +67,7 @@ def test_wrapped_positions_are_unwrapped_or_refused(
     )
 
 
+@settings(deadline=None)
 @given(motions(), st.sampled_from([-np.pi, 0.0]), st.booleans(), st.booleans())
 def test_positions_and_commands_are_unwrapped_into_one_turn_or_refused(
     drawn: tuple[np.ndarray, np.ndarray, np.random.Generator],
@@ -89,6 +91,7 @@ def test_positions_and_commands_are_unwrapped_into_one_turn_or_refused(
     )
 
 
+@settings(deadline=None)
 @given(motions())
 def test_positions_beyond_a_turn_are_kept(
     drawn: tuple[np.ndarray, np.ndarray, np.random.Generator],

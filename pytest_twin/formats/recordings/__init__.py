@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import stat
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -17,13 +18,14 @@ from pytest_twin.errors import FormatError, PathError
 from pytest_twin.formats.recording import TOPICS, Recording
 from pytest_twin.formats.recordings.base import Reader, ReadingOptions
 from pytest_twin.installed import is_own, load_plugin, refuse_stale_installation
+from pytest_twin.words import list_names
 
 __all__ = ["Reader", "ReadingOptions", "read_one", "read_recordings", "reader_of", "readers"]
 
 _GROUP = "pytest_twin.recordings"
 KINDS = (
-    "an MCAP file, a rosbag2 folder, a .db3 file, a CSV file (.csv), or the folder of a LeRobot "
-    "data set"
+    "an MCAP file, a rosbag2 folder, a .db3 file, a CSV file (.csv, .csv.gz), or the folder of a "
+    "LeRobot data set"
 )
 
 
@@ -33,6 +35,7 @@ def read_recordings(
     *,
     columns: Mapping[str, str] | None = None,
     units: str | None = None,
+    time_unit: str | None = None,
 ) -> list[Recording]:
     """Read joint states and commands from a recording of any format.
 
@@ -41,8 +44,8 @@ def read_recordings(
         topics: role (``state``, ``command``) -> topic, for formats with topics.
         columns: for a CSV file: header -> meaning of the column (``time``, ``elbow.position``),
             or the inverse mapping.
-        units: for a LeRobot data set: ``deg`` or ``rad``, if the data set states no unit or a
-            wrong one.
+        units: ``deg`` or ``rad``, if the recording states no unit or a wrong one.
+        time_unit: for a CSV file: unit of its times.
 
     Returns:
         one recording, or one for each episode of a data set.
@@ -53,7 +56,24 @@ def read_recordings(
         LimitError: the recording exceeds the limits of its format.
         RecordingError: the recording has no usable content.
     """
-    return list(reader_of(path).read(path, ReadingOptions(topics, columns or {}, units)))
+    options = ReadingOptions(topics, columns or {}, units, time_unit)
+    found = list(reader_of(path).read(path, options))
+    return [_from_degrees(one) for one in found] if units == "deg" else found
+
+
+def _from_degrees(recording: Recording) -> Recording:
+    """The recording in rad, apart from joints whose unit the recording or its reader states."""
+    series = {role: one.from_degrees() for role, one in recording.series.items()}
+    changed = {
+        name
+        for one in series.values()
+        for name, is_degree in zip(one.names, one.degrees, strict=True)
+        if is_degree
+    }
+    if not changed:
+        return recording
+    note = f"positions and velocities of {list_names(sorted(changed))} are read as degrees"
+    return replace(recording, series=series, notes=(*recording.notes, note))
 
 
 def read_one(
@@ -62,13 +82,14 @@ def read_one(
     *,
     columns: Mapping[str, str] | None = None,
     units: str | None = None,
+    time_unit: str | None = None,
 ) -> Recording:
     """Read the single recording at a path.
 
     Raises:
         FormatError: the path is a data set of several episodes, or as :func:`read_recordings`.
     """
-    found = read_recordings(path, topics, columns=columns, units=units)
+    found = read_recordings(path, topics, columns=columns, units=units, time_unit=time_unit)
     if len(found) != 1:
         raise FormatError(
             "holds several recordings",

@@ -18,12 +18,15 @@ class ReadingOptions:
     Attributes:
         topics: role (``state``, ``command``) -> topic.
         columns: for a CSV file: header -> meaning of the column, or the inverse mapping.
-        units: for a LeRobot data set: ``deg``, ``rad``, or None to detect the unit.
+        units: ``deg`` or ``rad``, None for the unit of the format. Readers of formats that state
+            one leave the conversion to :func:`read_recordings`.
+        time_unit: for a CSV file: ``s``, ``ms``, ``us`` or ``ns``, or None to detect the unit.
     """
 
     topics: Mapping[str, str] = field(default_factory=lambda: dict(TOPICS))
     columns: Mapping[str, str] = field(default_factory=dict)
     units: str | None = None
+    time_unit: str | None = None
 
 
 class Reader(Protocol):

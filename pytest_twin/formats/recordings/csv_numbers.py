@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.errors import FormatError
+from pytest_twin.formats.recordings.csv_time import TIME_UNITS, TimeUnitError, unit_of_times
 from pytest_twin.formats.ros_serialization import Floats, Integers
 
 # Characters: a Unix time in s with 15 decimals fits; longer text is not a time.
@@ -21,8 +22,6 @@ _INTEGER = re.compile(r"[-+]?\d{1,19}")
 _DECIMAL = re.compile(r"(-?)(\d{1,9})\.(\d{0,9})")
 # In s: a double below this is exact to less than 1 ns.
 _EXACT_SECONDS = 1e6
-# Whole numbers closer than this are not ns: no robot logs at more than 1 MHz.
-_SHORTEST_STEP_NS = 1000
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,8 @@ class Body:
         header: a heading for each column.
         time: the column of times.
         wanted: columns whose numbers are read; other columns may contain text.
+        first_line: number of the first row in the file.
+        unit: unit of the times, None where they have to tell.
     """
 
     path: Path
@@ -42,9 +43,11 @@ class Body:
     header: Sequence[str]
     time: int
     wanted: Collection[int]
+    first_line: int = 2
+    unit: str | None = None
 
-    def numbers(self) -> tuple[Integers, dict[int, Floats]]:
-        """Return (n,) times in ns, and column -> (n,) values, NaN for an empty cell.
+    def numbers(self) -> tuple[Integers, dict[int, Floats], str]:
+        """Return (n,) times in ns, column -> (n,) values (NaN for an empty cell), and a note.
 
         Raises:
             FormatError: no rows, a row of the wrong length, or a cell that is not a finite number.
@@ -52,14 +55,43 @@ class Body:
         """
         text = self.text.replace(b"\r\n", b"\n").strip(b"\n")
         if not text.strip():
-            raise FormatError("no rows", path=self.path, line=2, expected="rows of numbers")
-        seconds, values = self._parsed(_fill_empty_cells(text))
+            raise FormatError(
+                "no rows", path=self.path, line=self.first_line, expected="rows of numbers"
+            )
+        written, values = self._parsed(_fill_empty_cells(text))
         if any(np.isinf(one).any() for one in values.values()):
             raise self._first_fault()
-        exact = (np.abs(seconds) < _EXACT_SECONDS).all()
-        if exact and (seconds != np.floor(seconds)).any():
-            return np.rint(seconds * 1e9).astype(np.int64), values
-        return self._times(text, seconds), values
+        cells = self._time_cells(text)
+        whole = all(map(_INTEGER.fullmatch, cells))
+        if len(written) > 1 and written.max() == written.min():
+            raise FormatError(
+                "the times do not advance",
+                path=self.path,
+                line=self.first_line,
+                where=self.header[self.time],
+                value=f"{cells[0]} in all {len(cells)} rows",
+                expected="a time for each row, with enough digits",
+            )
+        unit, note = (self.unit, "") if self.unit else self._unit(written, cells, whole)
+        return self._nanoseconds(written, cells, TIME_UNITS[unit], whole), values, note
+
+    def _unit(self, written: Floats, cells: Sequence[str], whole: bool) -> tuple[str, str]:
+        """The unit of the times and a note.
+
+        Raises:
+            FormatError: it has to be stated.
+        """
+        try:
+            return unit_of_times(written, whole=whole)
+        except TimeUnitError as error:
+            raise FormatError(
+                "the unit of the times is not known",
+                path=self.path,
+                line=self.first_line,
+                where=self.header[self.time],
+                value=", ".join(cells[:3]) + f", ...: {error}",
+                expected="--time-unit s, ms, us or ns, or time_unit: in twin.yaml",
+            ) from None
 
     def _parsed(self, text: bytes) -> tuple[Floats, dict[int, Floats]]:
         columns = sorted({self.time, *self.wanted})
@@ -80,47 +112,57 @@ class Body:
         found = {at: np.ascontiguousarray(table[:, n]) for n, at in enumerate(columns)}
         seconds = found[self.time]
         if not np.isfinite(seconds).all():
-            self._odd_time("", int(np.flatnonzero(~np.isfinite(seconds))[0]))
+            self._odd_time("", int(np.flatnonzero(~np.isfinite(seconds))[0]), 1)
         return seconds, {at: found[at] for at in self.wanted}
 
-    def _times(self, text: bytes, seconds: Floats) -> Integers:
+    def _time_cells(self, text: bytes) -> list[str]:
+        """(n,) cells of the column of times."""
         at = self.time
         lines = [line for line in text.split(b"\n") if line.strip()]
-        cells = [line.split(b",", at + 1)[at].decode("utf-8", "replace").strip() for line in lines]
-        if all(map(_INTEGER.fullmatch, cells)) and (np.abs(seconds) < 2.0**63).all():
-            whole = np.array([int(cell) for cell in cells], dtype=np.int64)
-            step = int(np.median(np.abs(np.diff(whole)))) if len(whole) > 1 else 0
-            if 0 < step < _SHORTEST_STEP_NS:
-                raise FormatError(
-                    "times are integers, which are read as ns",
-                    path=self.path,
-                    line=2,
-                    where=self.header[at],
-                    value=f"a step of {step} ns",
-                    expected="ns, or s with a decimal point (0.0, 0.01, ...)",
-                )
-            return whole
+        return [line.split(b",", at + 1)[at].decode("utf-8", "replace").strip() for line in lines]
+
+    def _nanoseconds(
+        self, written: Floats, cells: Sequence[str], unit: int, whole: bool
+    ) -> Integers:
+        """(n,) times in ns, exact to 1 ns.
+
+        Args:
+            written: (n,) times as written.
+            cells: their text.
+            unit: ns in one unit.
+            whole: whether all are whole numbers.
+
+        Raises:
+            FormatError: a time is out of range.
+        """
+        largest = float(np.abs(written).max())
+        if whole and largest * unit < 2.0**63:
+            return np.array([int(cell) for cell in cells], dtype=np.int64) * unit
+        if largest * unit < _EXACT_SECONDS * TIME_UNITS["s"]:
+            return np.rint(written * unit).astype(np.int64)
         found = np.empty(len(cells), dtype=np.int64)
         for row, cell in enumerate(cells):
-            plain = _DECIMAL.fullmatch(cell)
+            plain = _DECIMAL.fullmatch(cell) if unit == TIME_UNITS["s"] else None
             if plain is None:
-                found[row] = self._odd_time(cell, row)
+                found[row] = self._odd_time(cell, row, unit)
             else:
                 ns = int(plain[2] + plain[3].ljust(9, "0"))
                 found[row] = -ns if plain[1] else ns
         return found
 
-    def _odd_time(self, cell: str, row: int) -> int:
+    def _odd_time(self, cell: str, row: int, unit: int) -> int:
         """Parse a time with an exponent, with more than nine decimals, or of invalid form."""
         try:
             seconds = Decimal(cell) if len(cell) <= _TIME_CHARS else Decimal("nan")
             if seconds.is_finite() and seconds.adjusted() < -30:
                 return 0
-            if seconds.is_finite() and abs(seconds) < 2**33:
-                return int((seconds * 1_000_000_000).to_integral_value())
+            if seconds.is_finite() and abs(seconds) * unit < 2**33 * TIME_UNITS["s"]:
+                return int((seconds * unit).to_integral_value())
         except InvalidOperation:
             pass
-        line = [n for n, text in enumerate(io.BytesIO(self.text), 2) if text.strip()][row]
+        line = [n for n, text in enumerate(io.BytesIO(self.text), self.first_line) if text.strip()][
+            row
+        ]
         raise FormatError(
             "no time",
             path=self.path,
@@ -132,7 +174,7 @@ class Body:
         )
 
     def _first_fault(self) -> FormatError:
-        for number, raw in enumerate(io.BytesIO(self.text), start=2):
+        for number, raw in enumerate(io.BytesIO(self.text), start=self.first_line):
             if not raw.strip():
                 continue
             try:
@@ -157,7 +199,7 @@ class Body:
                         column=at + 1,
                         where=self.header[at],
                         value=cell,
-                        expected="a time"
+                        expected="a time as a number"
                         if at == self.time
                         else "a number, or nothing where the row does not carry it",
                     )

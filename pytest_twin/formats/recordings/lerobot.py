@@ -230,6 +230,7 @@ class _Dataset:
             position=tables["position"],
             velocity=tables["velocity"],
             effort=tables["effort"],
+            stated=frozenset(names),
         )
 
     def times(self, table: Mapping[str, Floats]) -> Integers:
