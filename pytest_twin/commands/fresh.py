@@ -69,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
                 "before": str(before),
                 "today": str(root / FILE_NAME),
                 "dataset": str(dataset.absolute()),
+                "stamped": stamps.variants(found),
             },
         )
     newest = release.newest(root)

@@ -9,7 +9,7 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.release_folder import release_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.release import stamps
-from pytest_twin.release.stamp import PARTS
+from pytest_twin.release.stamp import PARTS, VARIANTS
 from pytest_twin.report.text import printable
 from pytest_twin.words import counted
 
@@ -38,6 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of the release that it was made with, or of a twin for its newest release",
     )
 
+    for part in VARIANTS:
+        parser.add_argument(
+            f"--{part}",
+            metavar="NAME",
+            help=f"{part} that all data were made with, as in {part}s: of twin.yaml (default: the "
+            "one that the metadata of each MCAP file name, else none is stamped)",
+        )
+
 
 def run(args: argparse.Namespace) -> int:
     """Stamp every file; return 0.
@@ -45,7 +53,12 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: the release is invalid, or the data set cannot be stamped.
     """
-    found = stamps.put(args.dataset, release_folder(args.release))
+    found = stamps.put(
+        args.dataset,
+        release_folder(args.release),
+        payload=args.payload,
+        controller=args.controller,
+    )
     first = found[0].stamp
     assert first is not None
     json_output.give(
@@ -62,8 +75,18 @@ def run(args: argparse.Namespace) -> int:
         },
     )
     lines = [f"stamped: {args.dataset} with {first.name} ({counted(len(found), 'file')})"]
-    for part in PARTS:
+    used = stamps.variants(found)
+    for part in (*PARTS, "payload"):
         member = first.ids[part]
-        lines.append(f"  {part:<12} {member['id'] or 'none'}  {member['digest'][:16]}")
+        name = member["id"] or "none"
+        if part in VARIANTS:
+            name = ", ".join(used[part]) or f"not stated: give --{part} if the data used one"
+        lines.append(f"  {part:<12} {name}  {member['digest'][:16]}")
+    lines += [
+        f"  note: {one.carrier.path.name} names {part} {name!r}, which release "
+        f"{first.ids['release']} does not declare: the stamp names none"
+        for one in found
+        for part, name in one.undeclared.items()
+    ]
     show("\n".join(printable(line) for line in lines))
     return DONE

@@ -89,12 +89,15 @@ def _digest(file: str) -> str | None:
         return None
 
 
-def differences(before: str, today: str, dataset: str) -> dict[str, Any]:
+def differences(
+    before: str, today: str, dataset: str, stamped: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
     """All changes between two versions of a twin, with their size and their effect on a data set.
 
     Args:
         before, today: ``twin.yaml`` of the released and the present version.
         dataset: data set or policy that was made with the released version.
+        stamped: ``controller`` and ``payload`` -> names in its stamps.
 
     Returns:
         JSON-able: ``changes``, ``tcp``, ``moved`` (m, rad), ``poses``, ``tolerance``, ``verdict``
@@ -104,7 +107,11 @@ def differences(before: str, today: str, dataset: str) -> dict[str, Any]:
         TwinError: a version does not load, or the data set is damaged.
     """
     old, new = Version.of(Path(before)), Version.of(Path(today))
-    recordings = recordings_of(Path(dataset), new.twin)
+    stated = {part: names[0] for part, names in stamped.items() if len(names) == 1}
+    recordings = [
+        replace(recording, metadata={**stated, **recording.metadata})
+        for recording in recordings_of(Path(dataset), new.twin)
+    ]
     poses = poses_of(recordings, new.realization.structure, new.twin)
     shown = poses or draw_poses(new.realization.structure)
     known = _common_joints(shown, old, new)
@@ -113,7 +120,8 @@ def differences(before: str, today: str, dataset: str) -> dict[str, Any]:
         for ident in sorted(old.parts.keys() | new.parts.keys())
         if _digest_of(old.parts, ident) != _digest_of(new.parts, ident)
     }
-    judged = _Differences(old, new, recordings, known, changed, new.twin.fresh)
+    used = {part: names | set(stamped[part]) for part, names in variants_of(recordings).items()}
+    judged = _Differences(old, new, recordings, used, known, changed, new.twin.fresh)
     listed = [judged.change(ident, reasons) for ident, reasons in changed.items()]
     total = judged.total()
     return {
@@ -159,13 +167,14 @@ class _Differences:
         old: Version,
         new: Version,
         recordings: Sequence[Recording],
+        variants: Mapping[str, set[str]],
         poses: Poses,
         changed: Mapping[str, Sequence[Reason]],
         tolerance: FreshPolicy,
     ) -> None:
         self.old, self.new, self.poses, self.tolerance = old, new, poses, tolerance
         self.recordings, self.changed = recordings, changed
-        self.variants = variants_of(recordings)
+        self.variants = variants
         self.notes: list[str] = []
         self._simulated: dict[str, float] | None = None
         self._before: FloatArray | None = None
@@ -221,7 +230,7 @@ class _Differences:
 
     def _is_unused(self, layer: str, name: str) -> bool:
         named = self.variants[layer]
-        return bool(self.recordings) and name not in named
+        return bool(self.recordings or named) and name not in named
 
     def _effect_of_displacement(self, found: Displacement | None, what: str) -> tuple[bool, str]:
         if found is None:

@@ -22,6 +22,8 @@ from pytest_twin.release.verify import authenticate
 
 SCHEMA = 1
 """Version of the stamp's layout."""
+VARIANTS = ("controller", "payload")
+"""Members of the twin of which data use one, if any."""
 PARTS = ("asset", "calibration", "fit", "controller", "validation")
 """Members of the twin in a stamp, each with ``id`` and ``digest``."""
 _TUPLE = ("twin", "series", "release", *PARTS, "payload", "declared")
@@ -62,17 +64,51 @@ class Stamp:
         return json.dumps(fields, indent=1) + "\n"
 
 
-def make(release: Release, envelope: bytes, data: str, now: datetime) -> Stamp:
+def make(
+    release: Release,
+    envelope: bytes,
+    data: str,
+    now: datetime,
+    variants: Mapping[str, str | None] | None = None,
+) -> Stamp:
     """Create the stamp of a release for data with the SHA-256 ``data``.
 
+    Args:
+        release: the release.
+        envelope: its signed envelope.
+        data: SHA-256 of the content, hex.
+        now: time of the stamp.
+        variants: ``payload`` and ``controller`` of the data; left out if they are not known.
+
     Raises:
-        ReleaseError: the release states no digests.
+        ReleaseError: the release states no digests, or lacks the payload or controller.
     """
-    return Stamp(stated_ids(release), data, timestamp(now), envelope)
+    ids = stated_ids(release)
+    for part, name in (variants or {}).items():
+        known = variants_of(release, part)
+        if name is not None and name not in known:
+            raise ReleaseError(
+                f"release {release.number} has no {part} of this name",
+                where=part,
+                value=name,
+                expected=f"one of {', '.join(known)}"
+                if known
+                else f"a release whose twin.yaml declares it under {part}s:",
+            )
+        ids[part] = {**ids[part], "id": name}
+    return Stamp(ids, data, timestamp(now), envelope)
+
+
+def variants_of(release: Release, part: str) -> list[str]:
+    """Names of the payloads or controllers that a release declares."""
+    declared = release.ids.get(f"{part}s")
+    return sorted(map(str, declared)) if isinstance(declared, list) else []
 
 
 def stated_ids(release: Release) -> dict[str, Any]:
     """IDs with digests that a signed release states.
+
+    The payload and the controller of the data are not among them: the release declares several.
 
     Raises:
         ReleaseError: a release of an earlier version, which states no digests.
@@ -89,8 +125,8 @@ def stated_ids(release: Release) -> dict[str, Any]:
         "asset": _join_names(ids.get("asset") or ids.get("realizations")),
         "calibration": ids.get("calibration"),
         "fit": ids.get("fit"),
-        "controller": _join_names(ids.get("controllers")),
-        "payload": _join_names(ids.get("payloads")),
+        "controller": None,
+        "payload": None,
         "validation": f"release {header.number}",
     }
     return {
@@ -180,7 +216,7 @@ def judge(stamp: Stamp, keys: Sequence[Key], data: str, now: datetime) -> StampV
         f"{name}: the stamp says {_format(stamp.ids[name])}, release {release.number} says "
         f"{_format(value)}"
         for name, value in expected.items()
-        if stamp.ids[name] != value
+        if stamp.ids[name] != value and not _is_variant(stamp.ids[name], value, name, release)
     ]
     if stamp.data != data:
         problems.append(
@@ -190,6 +226,17 @@ def judge(stamp: Stamp, keys: Sequence[Key], data: str, now: datetime) -> StampV
     if stamped < moment(release.header.created) or stamped > now:
         problems.append(f"stamped at {stamp.stamped}, which is before the release or in the future")
     return StampVerdict(release, tuple(problems))
+
+
+def _is_variant(stated: Any, expected: Any, part: str, release: Release) -> bool:
+    """Whether a stamp names one of the payloads or controllers that the release declares."""
+    return (
+        part in VARIANTS
+        and isinstance(stated, dict)
+        and stated.keys() == expected.keys()
+        and stated["digest"] == expected["digest"]
+        and stated["id"] in variants_of(release, part)
+    )
 
 
 def _format(value: Any) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from securesystemslib.signer import Key
 
 from pytest_twin.errors import ReleaseError, TwinError
 from pytest_twin.formats.stamps import Carrier
+from pytest_twin.formats.stamps.mcap import McapStamp
 from pytest_twin.release import accepted_releases, stamp
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
@@ -30,14 +31,24 @@ class StampedFile:
         carrier: the file.
         stamp: its stamp, None if it has none or it cannot be read.
         problem: why the stamp cannot be read.
+        undeclared: ``controller`` and ``payload`` that the file's own metadata name and the release
+            does not declare, so that the stamp cannot name them.
     """
 
     carrier: Carrier
     stamp: Stamp | None
     problem: str = ""
+    undeclared: Mapping[str, str] = field(default_factory=dict)
 
 
-def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> list[StampedFile]:
+def put(
+    dataset: Path,
+    release_folder: Path,
+    *,
+    payload: str | None = None,
+    controller: str | None = None,
+    now: datetime | None = None,
+) -> list[StampedFile]:
     """Stamp all files of a data set, or a policy, with a release.
 
     All files are read before the first is written; each is replaced in one step.
@@ -45,10 +56,13 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     Args:
         dataset: file or folder.
         release_folder: folder of an authentic, undamaged release.
+        payload, controller: those that all data were made with; None for those that the metadata of
+            each recording name.
         now: time of the stamp; the present time if None.
 
     Raises:
-        ReleaseError: the release is not authentic, is damaged, or states no digests.
+        ReleaseError: the release is not authentic, is damaged, states no digests, or lacks the
+            payload or controller; or a recording names another one.
         TwinError: a file that cannot contain a stamp, is damaged, or cannot be written.
     """
     now = now or datetime.now(UTC)
@@ -56,15 +70,47 @@ def put(dataset: Path, release_folder: Path, *, now: datetime | None = None) -> 
     released = read_authentic(release_folder, now)
     envelope = folders.read_envelope(release_folder)
     assert envelope is not None
-    found = [
-        StampedFile(carrier, stamp.make(released, envelope, carrier.digest(), now))
-        for carrier in carriers_in_child(dataset, writable=True)
-    ]
+    given = {"payload": payload, "controller": controller}
+    found = []
+    for carrier in carriers_in_child(dataset, writable=True):
+        recorded = _recorded_variants(carrier, given)
+        undeclared = {
+            part: name
+            for part, name in recorded.items()
+            if given[part] is None and name not in stamp.variants_of(released, part)
+        }
+        used = {
+            part: name or (None if part in undeclared else recorded.get(part))
+            for part, name in given.items()
+        }
+        made = stamp.make(released, envelope, carrier.digest(), now, used)
+        found.append(StampedFile(carrier, made, undeclared=undeclared))
     for one in found:
         assert one.stamp is not None
         one.carrier.write(one.stamp.to_text())
     accepted_releases.remember_twin(released.header.series, release_folder.absolute().parent.parent)
     return found
+
+
+def _recorded_variants(carrier: Carrier, given: Mapping[str, str | None]) -> dict[str, str]:
+    """Payload and controller that the metadata of one file name; they must be those given.
+
+    Raises:
+        ReleaseError: the metadata name another one.
+    """
+    if carrier.path.suffix.lower() != ".mcap":
+        return {}
+    recorded = McapStamp(carrier.path).trial()
+    for part, name in given.items():
+        if name is not None and recorded.get(part, name) != name:
+            raise ReleaseError(
+                f"its metadata name another {part}",
+                path=carrier.path,
+                where=part,
+                value=recorded[part],
+                expected=f"{name}, as --{part} says for all files",
+            )
+    return {part: recorded[part] for part in given if recorded.get(part)}
 
 
 def read(dataset: Path) -> list[StampedFile]:
@@ -111,11 +157,24 @@ def judge(
             verdicts[path] = StampVerdict(None, (one.problem or "is not stamped",))
             continue
         verdict = stamp.judge(one.stamp, keys, one.carrier.digest(), now)
-        if first is not None and one.stamp.ids != first.ids:
+        if first is not None and _without_variants(one.stamp) != _without_variants(first):
             other = f"stamped with {one.stamp.name}, and other files with {first.name}"
             verdict = StampVerdict(verdict.release, (*verdict.problems, other))
         verdicts[path] = verdict
     return verdicts
+
+
+def _without_variants(given: Stamp) -> dict[str, object]:
+    return {name: value for name, value in given.ids.items() if name not in stamp.VARIANTS}
+
+
+def variants(found: Iterable[StampedFile]) -> dict[str, list[str]]:
+    """``controller`` and ``payload`` -> names that the stamps of a data set contain."""
+    return {
+        part: sorted({str(one.stamp.ids[part]["id"]) for one in found
+                      if one.stamp is not None and one.stamp.ids[part]["id"] is not None})
+        for part in stamp.VARIANTS
+    }  # fmt: skip
 
 
 def twins_near(dataset: Path, found: list[StampedFile]) -> Iterator[Path]:

@@ -59,6 +59,7 @@ def make_draft(root: Path, *extra: Path, name: str = "arm", result: Outcome | No
         ids={
             "asset": {"arm.xml": "00ff"},
             "controllers": ["kp100"],
+            "payloads": ["kg05", "kg10"],
             "parts": {"firmware": "1.8.2"},
             "digests": {name: bytes_sha256(name.encode()) for name in MEMBERS},
         },

@@ -8,6 +8,7 @@ import shutil
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -132,11 +133,94 @@ def test_a_stamp_is_valid_until_the_data_change(
     verdict = json.loads(out.read_text())
     jsonschema.validate(verdict, load_schema("results/verify.schema.json"))
     assert verdict["stamp"]["release"] == verdict["release"]["number"] == 2
-    assert verdict["stamp"]["controller"]["id"] == "kp100"
+    # The release declares a controller and a payload; no data name theirs.
+    assert verdict["stamp"]["controller"]["id"] is verdict["stamp"]["payload"]["id"] is None
     tamper(kind, data)
     assert cli.main(["verify", str(data), "--json", str(out)]) == 1
     (problem,) = json.loads(out.read_text())["problems"]
     assert problem["text"].startswith("the data have changed since they were stamped")
+
+
+def write_trial(path: Path, **metadata: str) -> Path:
+    from mcap.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_metadata("trial", metadata)
+        writer.finish()
+    return path
+
+
+def stamped(data: Path, twin: Path, *options: str, status: int = 0) -> dict[str, Any]:
+    out = data.parent / "stamp.json"
+    assert (
+        cli.main(["stamp", str(data), "--release", str(twin), "--json", str(out), *options])
+        == status
+    )
+    return json.loads(out.read_text()) if status == 0 else {}
+
+
+def test_the_stamp_names_the_payload_and_controller_of_the_data(
+    twin_with_two_releases: Path, tmp_path: Path
+) -> None:
+    by_option = stamped(
+        write("hdf5", tmp_path),
+        twin_with_two_releases,
+        "--payload",
+        "kg05",
+        "--controller",
+        "kp100",
+    )
+    assert (by_option["payload"]["id"], by_option["controller"]["id"]) == ("kg05", "kp100")
+    assert cli.main(["verify", str(tmp_path / "demo.hdf5")]) == 0
+    by_metadata = stamped(
+        write_trial(tmp_path / "trial.mcap", payload="kg05"), twin_with_two_releases
+    )
+    assert (by_metadata["payload"]["id"], by_metadata["controller"]["id"]) == ("kg05", None)
+    assert cli.main(["verify", str(tmp_path / "trial.mcap")]) == 0
+
+
+def test_recordings_of_one_data_set_may_have_different_payloads(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "set"
+    folder.mkdir()
+    write_trial(folder / "a.mcap", payload="kg05")
+    write_trial(folder / "b.mcap", payload="kg10")
+    stamped(folder, twin_with_two_releases)
+    assert "payload      kg05, kg10" in capsys.readouterr().out
+    assert cli.main(["verify", str(folder)]) == 0
+
+
+def test_a_payload_that_the_release_does_not_declare_is_not_stamped(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = write("hdf5", tmp_path)
+    stamped(data, twin_with_two_releases, "--payload", "kg99", status=2)
+    output = capsys.readouterr().err
+    assert "payload: release 2 has no payload of this name (got 'kg99'; expected one of" in output
+    trial = write_trial(tmp_path / "trial.mcap", payload="a bottle")
+    assert stamped(trial, twin_with_two_releases)["payload"]["id"] is None
+    assert "names payload 'a bottle', which release 2 does not declare" in capsys.readouterr().out
+    stamped(trial, twin_with_two_releases, "--payload", "kg05", status=2)
+    output = capsys.readouterr().err
+    assert "payload: its metadata name another payload (got 'a bottle'; expected kg05" in output
+
+
+def test_a_stamp_with_another_payload_than_the_release_declares_does_not_hold(
+    twin_with_two_releases: Path, tmp_path: Path
+) -> None:
+    data = write("lerobot", tmp_path)
+    stamped(data, twin_with_two_releases, "--payload", "kg05")
+    file = data / "meta/twin.json"
+    fields = json.loads(file.read_text())
+    fields["payload"]["id"] = "kg99"
+    file.write_text(json.dumps(fields))
+    out = tmp_path / "verdict.json"
+    assert cli.main(["verify", str(data), "--json", str(out)]) == 1
+    (problem,) = json.loads(out.read_text())["problems"]
+    assert "payload: the stamp says" in problem["text"]
 
 
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])

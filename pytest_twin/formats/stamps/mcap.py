@@ -61,7 +61,8 @@ class _Layout:
         summary: records of the index, as (type, content).
         has_offsets: whether the file lists the positions of the groups of its index.
         summary_crc: stated CRC of the index, 0 if there is none.
-        stamps: records of the data section that are stamps.
+        metadata: metadata records of the data section.
+        stamps: those of them that are stamps.
     """
 
     data_end: int
@@ -69,6 +70,7 @@ class _Layout:
     summary: tuple[tuple[int, bytes], ...]
     has_offsets: bool
     summary_crc: int
+    metadata: tuple[_Record, ...]
     stamps: tuple[_Record, ...]
 
 
@@ -123,6 +125,15 @@ class McapStamp:
                     hashed.update(block)
         return hashed.hexdigest()
 
+    def trial(self) -> dict[str, str]:
+        """Return the metadata record ``trial`` of the recording; empty without one."""
+        with open_regular(self.path) as stream:
+            for record in self._layout(stream).metadata:
+                found = self._metadata(stream, record)
+                if found.name == "trial":
+                    return dict(found.metadata)
+        return {}
+
     def _damaged(self, problem: str) -> FormatError:
         return FormatError(
             f"not a whole MCAP file: {problem}",
@@ -141,12 +152,12 @@ class McapStamp:
         if len(footer) < tail or footer[-len(MAGIC) :] != MAGIC or footer[0] != FOOTER:
             raise self._damaged("no footer")
         summary_start, offset_start, summary_crc = struct.unpack_from("<QQI", footer, 9)
-        stamps: list[_Record] = []
+        metadata: list[_Record] = []
         for record in self._records(stream, len(MAGIC), size - tail):
             if record.opcode == DATA_END:
                 break
-            if record.opcode == METADATA and self._metadata(stream, record).name == NAME:
-                stamps.append(record)
+            if record.opcode == METADATA:
+                metadata.append(record)
         else:
             raise self._damaged("its data section does not end")
         stream.seek(record.start + 9)
@@ -154,8 +165,15 @@ class McapStamp:
         summary = self._summary(
             stream, summary_start, offset_start or size - tail, record.end, size - tail
         )
+        stamps = tuple(each for each in metadata if self._metadata(stream, each).name == NAME)
         return _Layout(
-            record.start, data_crc, summary, bool(offset_start), summary_crc, tuple(stamps)
+            record.start,
+            data_crc,
+            summary,
+            bool(offset_start),
+            summary_crc,
+            tuple(metadata),
+            stamps,
         )
 
     def _records(self, stream: BinaryIO, start: int, end: int) -> Iterator[_Record]:
