@@ -90,6 +90,7 @@ class Structure:
         geom_body: named geom -> body.
         joint_inputs: joint -> commands that its actuators take: position, velocity, effort.
         leaders: joint -> joint that it follows by an equality or mimic.
+        loose: joints without a range that no actuator, spring, joint equality or tendon moves.
     """
 
     realization: str
@@ -112,6 +113,7 @@ class Structure:
     geom_body: Mapping[str, str] = field(default_factory=dict)
     joint_inputs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     leaders: Mapping[str, str] = field(default_factory=dict)
+    loose: frozenset[str] = frozenset()
     _cache: dict[object, frozenset[str]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -433,6 +435,7 @@ class Structure:
             geom_body=_strings(table["geom_body"], str),
             joint_inputs=_lists(table["joint_inputs"]),
             leaders=_strings(table["leaders"], str),
+            loose=frozenset(_texts(table["loose"])),
         )
 
 

@@ -19,12 +19,15 @@ CommandBetween = Literal["held", "interpolated", "ramped"]
 stamp to stamp. ``ramped``: linear from the stamp to one command period after it, then constant.
 """
 
+Base = Literal["fixed"]
+"""``fixed``: a rig held the floating base of the robot in the pose that the model gives it."""
 Units = Literal["rad", "deg"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
 COMMAND_MODES: tuple[CommandMode, ...] = get_args(CommandMode)
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
 COMMAND_BETWEEN: tuple[CommandBetween, ...] = get_args(CommandBetween)
+BASES: tuple[Base, ...] = get_args(Base)
 UNITS: tuple[Units, ...] = get_args(Units)
 TIME_UNITS: tuple[TimeUnit, ...] = get_args(TimeUnit)
 
@@ -84,6 +87,7 @@ class RecordingOptions:
         units: unit of the angles, where the recording states none or a wrong one.
         time_unit: CSV files: unit of the times.
         signals: side of the gears, units and meaning of the joints' positions and efforts.
+        base: what held the robot's floating base.
     """
 
     joints: JointNames = field(default_factory=JointNames)
@@ -95,6 +99,7 @@ class RecordingOptions:
     units: Units | None = None
     time_unit: TimeUnit | None = None
     signals: Signals = NO_SIGNALS
+    base: Base | None = None
 
     def mode_of(self, joint: str) -> CommandMode | None:
         """The declared command field of a joint of the model; None where it is not declared."""
@@ -125,6 +130,7 @@ class RecordingOptions:
             "units": self.units,
             "time_unit": self.time_unit,
             "signals": dict(self.signals.table),
+            "base": self.base,
         }
         return {key: value for key, value in found.items() if value}
 
@@ -141,6 +147,7 @@ class RecordingOptions:
             units=data.get("units"),
             time_unit=data.get("time_unit"),
             signals=Signals.from_json(data.get("signals") or {}),
+            base=data.get("base"),
         )
 
 

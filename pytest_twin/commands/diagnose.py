@@ -262,13 +262,15 @@ def diagnose_files(
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
     asked = DiagnosisRequest(**request)
-    loaded = load_model(Path(asked.model), SearchFolders.of(asked.roots, asked.packages))
+    options = RecordingOptions.from_json(asked.options)
+    search = SearchFolders.of(asked.roots, asked.packages)
+    loaded = load_model(Path(asked.model), search, options.base)
     trials = read_trials(
         [Path(r) for r in asked.recordings],
         [Path(r) for r in asked.held_out],
         {**loaded.topics, **asked.topics},
         loaded.realization.structure,
-        RecordingOptions.from_json(asked.options).over(loaded.options),
+        options.over(loaded.options),
     )
     seconds = asked.seconds
     budget = Budget(seconds, own_time=asked.own_time)

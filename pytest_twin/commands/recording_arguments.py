@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.recording_options import (
+    BASES,
     CLOCKS,
     COMMAND_BETWEEN,
     COMMAND_MODES,
@@ -79,6 +80,12 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "next, or ramped to the next within one period (default: as the recording's metadata or "
         "twin.yaml states, else held)",
     )
+    group.add_argument(
+        "--base",
+        choices=BASES,
+        help="fixed: a rig held the robot, so that the model's floating base stays where it is "
+        "(default: a floating base is refused, because joint states have no pose)",
+    )
     add_reading_arguments(group)
 
 
@@ -129,6 +136,7 @@ def recording_options(args: argparse.Namespace) -> dict[str, Any]:
         "columns": args.columns,
         "units": args.units,
         "time_unit": args.time_unit,
+        "base": args.base,
     }
     return {key: value for key, value in given.items() if value}
 

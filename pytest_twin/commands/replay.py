@@ -25,7 +25,7 @@ from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
+from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
 from pytest_twin.report import replay as page
 from pytest_twin.trial import at_command_stamps, make_trials, recording_at
 from pytest_twin.twin import FILE_NAME, Twin, load_twin, model_suffixes
@@ -182,9 +182,11 @@ def replay_file(
     )
 
     asked = ReplayRequest(**request)
-    loaded = load_model(Path(asked.model), SearchFolders.of(asked.roots, asked.packages))
+    options = RecordingOptions.from_json(asked.options)
+    search = SearchFolders.of(asked.roots, asked.packages)
+    loaded = load_model(Path(asked.model), search, options.base)
     realization = loaded.realization
-    chosen = RecordingOptions.from_json(asked.options).over(loaded.options)
+    chosen = options.over(loaded.options)
     topics = {**loaded.topics, **asked.topics}
     read = recording_at(Path(asked.recording), topics, chosen, asked.episode)
     trials = make_trials(read, realization.structure, chosen)
@@ -254,12 +256,15 @@ class LoadedModel:
     patched: PatchedModel | None
 
 
-def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
+def load_model(
+    file: Path, search: SearchFolders | None = None, base: Base | None = None
+) -> LoadedModel:
     """Load the file found by :func:`find_model`; runs in the child process.
 
     Args:
         file: model or ``twin.yaml``.
         search: folders that the user names for the model's files.
+        base: what holds a floating base; overrides the twin.
 
     Raises:
         TwinError: the model cannot be loaded.
@@ -273,7 +278,7 @@ def load_model(file: Path, search: SearchFolders | None = None) -> LoadedModel:
         twin = load_twin(file)
         first = twin.first_realization
         name, file = first.name, first.file
-    realization = load(file, twin=twin, name=name, search=search)
+    realization = load(file, twin=twin, name=name, search=search, base=base)
     topics = dict(TOPICS if twin is None else twin.topics)
     options = NO_OPTIONS if twin is None else twin.recordings
     return LoadedModel(realization, topics, options, read_patched_model(realization))

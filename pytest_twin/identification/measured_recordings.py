@@ -19,6 +19,7 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 from pytest_twin.trial import recordings_at
 from pytest_twin.trial.command_field import choose_command_fields
+from pytest_twin.trial.floating_base import check_floating_base
 from pytest_twin.trial.joint_side import (
     add_shared_efforts,
     effort_factor,
@@ -123,9 +124,10 @@ def read_measured(
     for recording in recordings_at(path, topics, options):
         refuse_final(recording.metadata, path, "an identification")
         series = _commands_or_states(recording, "state", realization, topics, options)
+        loose = check_floating_base(realization.structure, series.names, recording.path)
         commanded, notes = _commands_at_states(recording, series, realization, topics, options)
         whole = _in_model(_at_joints(series, commanded, recording, signals), realization)
-        found += _stretches(replace(whole, notes=(*whole.notes, *notes)))
+        found += _stretches(replace(whole, notes=(*whole.notes, *notes, *loose)))
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
-from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
+from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
 from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
 
 REALIZATION = "realization"
@@ -86,11 +87,11 @@ def identify_files(
     asked = IdentificationRequest(**request)
     model, out, name, topics = asked.model, asked.out, asked.name, asked.topics
     recordings, held_out, sensors = asked.recordings, asked.held_out, asked.sensors
-    realization, notes = _load(Path(model), SearchFolders.of(asked.roots, asked.packages))
+    options = RecordingOptions.from_json(asked.options)
+    search = SearchFolders.of(asked.roots, asked.packages)
+    realization, notes = _load(Path(model), search, options.base)
     twin = realization.twin
-    chosen = RecordingOptions.from_json(asked.options).over(
-        NO_OPTIONS if twin is None else twin.recordings
-    )
+    chosen = options.over(NO_OPTIONS if twin is None else twin.recordings)
     signals = chosen.signals
     stated = DEFAULT_TOPICS if twin is None else twin.topics
     paths = [Path(one) for one in recordings]
@@ -260,7 +261,7 @@ def _from_commands(
     return document
 
 
-def _load(path: Path, search: SearchFolders) -> tuple[Realization, list[str]]:
+def _load(path: Path, search: SearchFolders, base: Base | None) -> tuple[Realization, list[str]]:
     """Load the model with its twin, without shapes if meshes of a URDF are missing."""
     twin: Twin | None = None
     name = "mujoco"
@@ -268,14 +269,15 @@ def _load(path: Path, search: SearchFolders) -> tuple[Realization, list[str]]:
         twin = load_twin(path)
         first = twin.first_realization
         name, path = first.name, first.file
+    as_declared = partial(
+        load, path, twin=twin, name=name, search=search, accept_invalid_inertia=True, base=base
+    )
     try:
-        return load(path, twin=twin, name=name, search=search, accept_invalid_inertia=True), []
+        return as_declared(), []
     except PathError as error:
         if path.suffix.lower() != ".urdf":
             raise
-        loaded = load(
-            path, twin=twin, name=name, search=search, accept_invalid_inertia=True, shapes=False
-        )
+        loaded = as_declared(shapes=False)
         return loaded, [
             f"the model is used without its shapes, which no effort depends on: {error}"
         ]

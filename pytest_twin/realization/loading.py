@@ -15,10 +15,12 @@ from pytest_twin.realization import mjcf, patch, urdf, urdf_spec
 from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
+from pytest_twin.realization.fixed_base import fix_base
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.model_formats import as_mjcf
 from pytest_twin.realization.source import Source
+from pytest_twin.recording_options import Base
 from pytest_twin.twin import USD_SUFFIXES, Fit, Simulator, Twin, effects_file_next_to
 
 
@@ -36,6 +38,7 @@ def load(  # noqa: PLR0913
     shapes: bool = True,
     limits: ModelLimits = LIMITS,
     simulator: Simulator = "mujoco",
+    base: Base | None = None,
 ) -> Realization:
     """Load an MJCF or URDF file, or a file that an installed package converts to MJCF.
 
@@ -56,6 +59,7 @@ def load(  # noqa: PLR0913
         simulator: simulator that steps the model. ``newton`` needs a USD stage; fit, controllers
             and payloads then change an MJCF of the stage, and Newton gets its masses, joints and
             drives.
+        base: what holds a floating base; overrides the twin.
 
     Raises:
         NewtonMissingError, UsdMissingError: an extra that a USD stage needs is not installed.
@@ -112,16 +116,21 @@ def load(  # noqa: PLR0913
         spec, places = converted.spec, None
     if fit is not None:
         patch.apply_fit(spec, fit.patches, fit.option, refuse=_fit_error(fit))
-    base = twin.calibration.transform_world_to_base if twin and twin.calibration else None
-    if twin is not None and effects is None and base is not None:
-        patch.place_base(spec, base, refuse=twin.error, where="calibration.base")
+    pose = twin.calibration.transform_world_to_base if twin and twin.calibration else None
+    if twin is not None and effects is None and pose is not None:
+        patch.place_base(spec, pose, refuse=twin.error, where="calibration.base")
+    held: list[str] = []
     try:
+        if (base or (twin.recordings.base if twin is not None else None)) == "fixed":
+            held = fix_base(spec)
         model, warned = mjcf.compile_spec(spec)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise mjcf.translate(error, path, places) from None
     said = tuple(f"{path}: MuJoCo warns: {words}" for words in warned)
     chosen = () if twin is not None else located.words()
-    source = replace(source, notes=chosen + source.notes + said, effects=effects, located=located)
+    source = replace(
+        source, notes=(*chosen, *source.notes, *held, *said), effects=effects, located=located
+    )
     loaded = Realization(
         name=name,
         path=path,

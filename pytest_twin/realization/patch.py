@@ -87,7 +87,7 @@ def place_base(spec: mujoco.MjSpec, base: Pose, *, refuse: Refuse, where: str) -
         TwinError: the model does not have exactly one base, which is a child of the world with
             joints on it or below it.
     """
-    carriers = [body for body in spec.worldbody.bodies if body.joints or _carries_joints(body)]
+    carriers = [body for body in spec.worldbody.bodies if body.joints or carries_joints(body)]
     free = mujoco.mjtJoint.mjJNT_FREE
     fixed = [body for body in carriers if all(joint.type != free for joint in body.joints)]
     # A free body next to an arm is an object, not a second robot.
@@ -104,7 +104,8 @@ def place_base(spec: mujoco.MjSpec, base: Pose, *, refuse: Refuse, where: str) -
     found[0].alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
-def _carries_joints(body: mujoco.MjsBody) -> bool:
+def carries_joints(body: mujoco.MjsBody) -> bool:
+    """Whether a body below this one has a joint."""
     waiting = list(body.bodies)
     while waiting:
         child = waiting.pop()

@@ -22,6 +22,7 @@ from pytest_twin.recording_options import (
 from pytest_twin.signals import Signals
 from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
+from pytest_twin.trial.floating_base import check_floating_base
 from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
 from pytest_twin.trial.joints import in_model_names, name_by_actuators
@@ -100,6 +101,8 @@ def _whole(
         topics.append(series)
         notes += said
     states, commands = topics
+    if structure is not None:
+        notes += check_floating_base(structure, states.names, recording.path)
     if states.position is None:
         raise RecordingError(
             "no state has positions",

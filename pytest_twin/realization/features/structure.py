@@ -112,7 +112,22 @@ def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> 
             if (taken := _inputs(model, elements.joint[j]))
         },
         leaders=leaders,
+        loose=frozenset(elements.joint[j] for j in _loose_joints(model, elements)),
     )
+
+
+def _loose_joints(model: mujoco.MjModel, elements: Elements) -> list[int]:
+    """Joints without a range that no actuator, spring, joint equality or tendon moves."""
+    moved = {j for a in range(model.nactuator) for j in elements.actuator_reach(a)[0]}
+    moved |= {j for tendon in range(model.ntendon) for j in elements.tendon_joints(tendon)}
+    for eq in range(model.neq):
+        if int(model.eq_type[eq]) == int(mujoco.mjtEq.mjEQ_JOINT):
+            moved |= set(elements.equality_ends(eq)[1])
+    return [
+        j
+        for j in range(model.njnt)
+        if j not in moved and not model.jnt_limited[j] and not np.any(model.jnt_stiffness[j])
+    ]
 
 
 def _inputs(model: mujoco.MjModel, joint: str) -> tuple[str, ...]:

@@ -1,0 +1,52 @@
+"""Hold the floating base of a robot, as a rig does."""
+
+from __future__ import annotations
+
+import mujoco
+
+from pytest_twin.realization import patch
+
+_LOOSE = (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL)
+
+
+def fix_base(spec: mujoco.MjSpec) -> list[str]:
+    """Remove the joints of floating bases, which stay at the pose that the model gives them.
+
+    A base has a free or ball joint, its parent is fixed to the world, and it carries other joints.
+    A free body without joints is an object and stays free. Keyframes lose the
+    coordinates of the base.
+
+    Args:
+        spec: the spec, which is changed.
+
+    Returns:
+        One note for each base.
+
+    Raises:
+        ValueError: the spec cannot be compiled.
+    """
+    bases = _floating_bases(spec)
+    if not bases:
+        return []
+    # Deleting joints of a compiled spec also removes their coordinates from keyframes.
+    whole = spec.compile()
+    notes = []
+    for base in bases:
+        position = " ".join(f"{x:.4g}" for x in whole.body_pos[base.id])
+        name = f"body {base.name!r}" if base.name else "an unnamed body"
+        notes.append(f"base: fixed: {name} is held at {position} m")
+        for joint in list(base.joints):
+            spec.delete(joint)
+    return notes
+
+
+def _floating_bases(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
+    found = []
+    waiting = list(spec.worldbody.bodies)
+    while waiting:
+        body = waiting.pop()
+        if not body.joints:
+            waiting.extend(body.bodies)
+        elif any(joint.type in _LOOSE for joint in body.joints) and patch.carries_joints(body):
+            found.append(body)
+    return found
