@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.formats.identification_record import IdentificationRecord
+from pytest_twin.record_spec import Unaffected
 
 SHARE, DRAWS = 0.95, 256
 """Defaults of ``share`` and ``draws``. With 256 simulated robots the ends of a 95 % interval have
@@ -21,10 +22,12 @@ class TrialGroup:
     Attributes:
         record: its result.
         conditions: name, such as ``temperature`` (deg C) or ``load`` (kg) -> value.
+        unaffected: changed inputs that do not touch the record.
     """
 
     record: IdentificationRecord
     conditions: Mapping[str, float]
+    unaffected: tuple[Unaffected, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

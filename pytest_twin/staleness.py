@@ -189,7 +189,7 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
         }
     if twin.calibration is not None:
         for joint, calibration in twin.calibration.joints.items():
-            contents[f"calibration:{joint}"] = _calibration(calibration)
+            contents[f"calibration:{joint}"] = joint_calibration(calibration)
     pose = None if twin.calibration is None else twin.calibration.transform_world_to_base
     contents["base:calibration"] = (
         {}
@@ -219,7 +219,8 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
     return {ident: Part(ident, content) for ident, content in contents.items()}
 
 
-def _calibration(calibration: JointCalibration) -> dict[str, Any]:
+def joint_calibration(calibration: JointCalibration) -> dict[str, Any]:
+    """Content of the part ``calibration:JOINT``."""
     scale = {} if calibration.scale == 1.0 else {"scale": calibration.scale}
     return {"offset [rad or m]": calibration.offset, "sign": calibration.sign, **scale}
 
@@ -300,7 +301,7 @@ def _expanded_ids(
             ids.remove(ident)
             ids |= {known for known in parts if known.startswith(f"{layer}:")}
         elif layer == "calibration" and ident not in parts:
-            parts[ident] = Part(ident, _calibration(_IDENTITY))
+            parts[ident] = Part(ident, joint_calibration(_IDENTITY))
         elif layer == "library" and ident not in parts:
             parts[ident] = Part(ident, {"version": lookups.version_of(name)})
         elif layer in ("recording", "file") and ident not in parts:

@@ -25,6 +25,7 @@ from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import validate
 from pytest_twin.installed import entry_points_by_name
 from pytest_twin.ranges_spec import RangesSpec, TrialGroup
+from pytest_twin.record_spec import Unaffected, unaffected_of
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 
 FILE_NAME = "twin.yaml"
@@ -182,6 +183,7 @@ class CalibrationEntry:
         use: names of the estimates that the twin uses.
         date, instrument: when and with what it was measured, or None.
         supersedes: ids of earlier records that it replaces.
+        unaffected: changed inputs that do not touch it.
     """
 
     record: CalibrationRecord
@@ -189,6 +191,7 @@ class CalibrationEntry:
     date: str | None = None
     instrument: str | None = None
     supersedes: tuple[str, ...] = ()
+    unaffected: tuple[Unaffected, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,6 +204,7 @@ class Fit:
         option: ``gravity`` (m/s^2) and ``timestep`` (s), where fitted.
         path: the file that states it.
         lines: dotted field -> line in ``path``, such as ``joint.elbow.damping``.
+        supersedes: ids of earlier fits that it replaces.
     """
 
     id: str
@@ -208,6 +212,7 @@ class Fit:
     option: Patch
     path: Path
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
+    supersedes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,11 +223,13 @@ class FitEntry:
         record: content of its file.
         date: date of the recordings, or None.
         supersedes: ids of earlier records that it replaces.
+        unaffected: changed inputs that do not touch it.
     """
 
     record: IdentificationRecord
     date: str | None = None
     supersedes: tuple[str, ...] = ()
+    unaffected: tuple[Unaffected, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,8 +337,10 @@ class Twin:
         calibration: calibration in use: ``calibration:``, updated by ``calibrations:`` and by the
             encoders of ``fit:``.
         calibrated: the same without ``fit:``.
+        stated: the same without ``calibrations:`` and ``fit:``.
         calibrations: records of ``pytest-twin calibrate``, the newest last.
         fit: fit in use: all entries of ``fit:`` merged; a later entry overrides an earlier one.
+        fit_tables: each entry of ``fit:``, as listed.
         fits: records of ``pytest-twin identify`` under ``fit:``, the newest last.
         tcp: named frame of the tool centre point.
         retired: id of a golden that no longer exists -> reason.
@@ -359,8 +368,10 @@ class Twin:
     payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
     calibration: Calibration | None = None
     calibrated: Calibration | None = None
+    stated: Calibration | None = None
     calibrations: tuple[CalibrationEntry, ...] = ()
     fit: Fit | None = None
+    fit_tables: tuple[Fit, ...] = ()
     fits: tuple[FitEntry, ...] = ()
     parts: Mapping[str, DeclaredPart] = field(default_factory=dict)
     tcp: str | None = None
@@ -395,6 +406,51 @@ class Twin:
     def fits_in_use(self) -> tuple[IdentificationRecord, ...]:
         """Records under ``fit:`` that no later one supersedes, the newest last."""
         return _not_superseded(self.fits)
+
+    @property
+    def has_records(self) -> bool:
+        """Whether it lists the record of a calibration or an identification."""
+        return bool(self.fits or self.calibrations or self.ranges.trials)
+
+    @property
+    def calibrations_in_use(self) -> tuple[CalibrationEntry, ...]:
+        """Entries of ``calibrations:`` that no later one supersedes, the newest last."""
+        superseded = {name for entry in self.calibrations for name in entry.supersedes}
+        return tuple(entry for entry in self.calibrations if entry.record.id not in superseded)
+
+    def before_fit(self, ident: str) -> Twin:
+        """The twin with only the entries of ``fit:`` above one: what its record was fitted with.
+
+        Args:
+            ident: id of the entry; of one that is not listed, all are above.
+        """
+        names = [table.id for table in self.fit_tables]
+        if ident not in names:
+            return self
+        tables = self.fit_tables[: names.index(ident)]
+        above = {table.id for table in tables}
+        fits = tuple(entry for entry in self.fits if entry.record.id in above)
+        in_use = _not_superseded(fits)
+        return replace(
+            self,
+            fit=_merge_fits(_tables_in_use(tables), self.path),
+            fit_tables=tables,
+            fits=fits,
+            calibration=_with_identified_encoders(self.calibrated, in_use, self.path),
+        )
+
+    def before_calibration(self, ident: str) -> Twin:
+        """The twin with only the entries of ``calibrations:`` above one, and without encoders of
+        ``fit:``: what its record was measured with.
+
+        Args:
+            ident: id of the record; of one that is not listed, all are above.
+        """
+        names = [entry.record.id for entry in self.calibrations]
+        count = names.index(ident) if ident in names else len(names)
+        entries = self.calibrations[:count]
+        calibrated = _update_calibration(self.stated, entries, self.path)
+        return replace(self, calibrations=entries, calibration=calibrated, calibrated=calibrated)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -508,8 +564,9 @@ class _Reader:
         data = self.data
         release = data.get("release", {})
         entries = self._calibrations()
-        fit, fits = self._fits()
-        calibrated = _update_calibration(self._calibration(), entries, self.path)
+        tables, fits = self._fits()
+        stated = self._calibration()
+        calibrated = _update_calibration(stated, entries, self.path)
         return Twin(
             path=self.path,
             name=data.get("name") or self.path.parent.name or "twin",
@@ -534,8 +591,10 @@ class _Reader:
             },
             calibration=_with_identified_encoders(calibrated, _not_superseded(fits), self.path),
             calibrated=calibrated,
+            stated=stated,
             calibrations=entries,
-            fit=fit,
+            fit=_merge_fits(_tables_in_use(tables), self.path),
+            fit_tables=tables,
             fits=fits,
             parts=self._parts(),
             tcp=data.get("tcp"),
@@ -688,6 +747,7 @@ class _Reader:
                 data.get("date"),
                 data.get("instrument"),
                 tuple(data.get("supersedes", ())),
+                unaffected_of(data),
             )
             superseded = {name for one in (*found, entry) for name in one.supersedes}
             for other in found:
@@ -757,15 +817,14 @@ class _Reader:
                     "with robot: twin.yaml",
                 )
 
-    def _fits(self) -> tuple[Fit | None, tuple[FitEntry, ...]]:
-        """The fit in use, from the table or list under ``fit:``, and the records of the list."""
+    def _fits(self) -> tuple[tuple[Fit, ...], tuple[FitEntry, ...]]:
+        """The tables under ``fit:`` as listed, and the records of the list."""
         data = self.data.get("fit")
         if not isinstance(data, list):
             section = self._table_of("fit")
-            return (None if section is None else _fit(section)), ()
+            return (() if section is None else (_fit(section),)), ()
         tables: dict[str, Fit] = {}
         entries: list[FitEntry] = []
-        superseded: set[str] = set()
         for at, one in enumerate(data):
             where = f"fit.{at}"
             if "file" not in one:
@@ -775,10 +834,8 @@ class _Reader:
                 entries.append(entry)
                 found = Fit(entry.record.id, entry.record.fit, {}, entry.record.path)
             self._check_id("fit", found.id, where, where, one, tables)
-            superseded.update(one.get("supersedes", ()))
-            tables[found.id] = found
-        in_use = [one for name, one in tables.items() if name not in superseded]
-        return _merge_fits(in_use, self.path), tuple(entries)
+            tables[found.id] = replace(found, supersedes=tuple(one.get("supersedes", ())))
+        return tuple(tables.values()), tuple(entries)
 
     def _fit_entry(self, data: Mapping[str, Any], where: str) -> FitEntry:
         record = read_identification_record(self._file(data["file"], f"{where}.file"))
@@ -789,7 +846,8 @@ class _Reader:
                 value=record.verdict,
                 expected="an identification.json whose verdict is accepted",
             )
-        return FitEntry(record, data.get("date"), tuple(data.get("supersedes", ())))
+        supersedes = tuple(data.get("supersedes", ()))
+        return FitEntry(record, data.get("date"), supersedes, unaffected_of(data))
 
     def _parts(self) -> dict[str, DeclaredPart]:
         """Declared parts; residual and update are added as parts that every golden depends on."""
@@ -851,7 +909,8 @@ class _Reader:
         trials = tuple(
             TrialGroup(
                 read_identification_record(self._file(one["file"], f"ranges.trials.{at}.file")),
-                {key: float(value) for key, value in one.items() if key != "file"},
+                {k: float(v) for k, v in one.items() if k not in ("file", "unaffected")},
+                unaffected_of(one),
             )
             for at, one in enumerate(data.get("trials", ()))
         )
@@ -888,6 +947,11 @@ def _fit(section: _Section) -> Fit:
         path=section.path,
         lines=section.own_lines,
     )
+
+
+def _tables_in_use(tables: tuple[Fit, ...]) -> list[Fit]:
+    superseded = {name for table in tables for name in table.supersedes}
+    return [table for table in tables if table.id not in superseded]
 
 
 def _merge_fits(fits: list[Fit], path: Path) -> Fit | None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin import __version__
+from pytest_twin.calibration.basis import calibration_basis
 from pytest_twin.calibration.cameras.half_turn import with_consistent_orientation
 from pytest_twin.calibration.cameras.image_refinement import ImageRefinement, calibrate_intrinsics
 from pytest_twin.calibration.cameras.images import Images, read_images
@@ -80,14 +81,15 @@ def calibrate_file(
     Args:
         plan: path of the plan.
         progress: called with the fraction done, 0 to 1.
-        folder: folder that keeps observations and images of recordings; by default they are
-            deleted.
+        folder: folder, inside that of the record, that keeps observations and images of
+            recordings; by default they are deleted.
 
     Raises:
         TwinError: the input cannot be used.
     """
     told = progress or (lambda fraction: None)
     found = load_plan(Path(plan))
+    record_folder = found.path.parent if folder is None else Path(folder).parent
     if found.streams:
         if found.has_free_scale:
             raise found.error(
@@ -98,6 +100,7 @@ def calibrate_file(
             )
         document = calibrate_streams(found)
         document["inputs"] = _inputs(found, [found.path, *found.streams.values()])
+        document["basis"] = calibration_basis(found, document["inputs"], record_folder)
         return document
     if not found.observations:
         raise found.error(
@@ -105,7 +108,9 @@ def calibrate_file(
         )
     with contextlib.ExitStack() as stack:
         place = folder or stack.enter_context(tempfile.TemporaryDirectory())
-        return _calibrate_observations(found, Path(place), told)
+        document = _calibrate_observations(found, Path(place), told)
+        document["basis"] = calibration_basis(found, document["inputs"], record_folder)
+        return document
 
 
 def _calibrate_observations(

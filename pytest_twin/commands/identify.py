@@ -160,6 +160,7 @@ def run(args: argparse.Namespace) -> int:
                         "recordings": [str(r.absolute()) for r in args.recordings],
                         "held_out": [str(r.absolute()) for r in args.held_out],
                         "out": str(staging),
+                        "folder": str(out),
                         "name": args.id or out.name,
                         "topics": args.topics,
                         "options": recording_options(args),

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pytest_twin import release
 from pytest_twin.commands import json_output
 from pytest_twin.commands.release_folder import release_folder
 from pytest_twin.commands.terminal import show
-from pytest_twin.errors import ReleaseError
+from pytest_twin.errors import ReleaseError, TwinError
 from pytest_twin.formats.stamps import is_carrier
+from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
 from pytest_twin.release.envelope import short_key_id
 from pytest_twin.release.folder import RELEASES
 from pytest_twin.release.stamp import StampVerdict
 from pytest_twin.release.verify import ENVELOPE
 from pytest_twin.report.text import printable
-from pytest_twin.twin import FILE_NAME
+from pytest_twin.twin import FILE_NAME, load_twin
 from pytest_twin.words import counted
 
 HELP = "check signature, all digests and age of a release, or the stamp of a data set"
@@ -40,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "release",
         metavar="RELEASE|DATASET",
         type=Path,
-        help="folder of a release, or of a twin for its newest release; or a stamped data set or "
-        "policy",
+        help="folder of a release, or of a twin for its newest release and its records; or a "
+        "stamped data set or policy",
     )
     parser.add_argument(
         "--keys",
@@ -69,9 +71,27 @@ def run(args: argparse.Namespace) -> int:
     if args.json not in (None, json_output.STANDARD_OUTPUT):
         _check_outside(Path(args.json), folder)
     verdict = release.check(folder, keys=args.keys, remember=True)
+    twin_file: Path = args.release / FILE_NAME
+    if args.release != folder and twin_file.is_file():
+        verdict = replace(verdict, problems=(*verdict.problems, *_stale_records(twin_file)))
     json_output.give(args, verdict.to_json() | {"path": str(folder)})
     show(_words(verdict, folder))
     return HOLDS if verdict.holds else DOES_NOT_HOLD
+
+
+def _stale_records(twin_file: Path) -> Iterator[release.Problem]:
+    """Problems of the twin as it is today: records whose inputs have changed."""
+    try:
+        if not load_twin(twin_file).has_records:
+            return
+        with Sandbox() as sandbox:
+            lines = sandbox.call(
+                "pytest_twin.realization.record_inputs:stale_record_lines",
+                {"twin": str(twin_file.absolute())},
+            )
+    except TwinError as error:
+        lines = [f"its records cannot be compared with their inputs: {error}"]
+    yield from (release.Problem("records", line) for line in lines)
 
 
 def _verify_stamps(args: argparse.Namespace) -> int:

@@ -15,6 +15,7 @@ from pytest_twin.formats.record_fields import (
     digests,
     number,
     numbers,
+    optional_table,
     read_record,
     standard_deviation,
     text,
@@ -68,6 +69,8 @@ class CalibrationRecord:
         time_offset: offset between the two clocks and its standard deviation, s, or None.
         clock_drift: rate at which the offset grows, s/s; 0 if none was estimated.
         scale: scale of the camera's positions relative to m, or None if they are in m.
+        basis: field ``basis`` as written: content of the inputs that it used; None in a record of
+            an earlier version.
     """
 
     id: str
@@ -91,6 +94,7 @@ class CalibrationRecord:
     clock_drift: float = 0.0
     scale: float | None = None
     homes: Mapping[str, float] = field(default_factory=dict)
+    basis: Mapping[str, Any] | None = None
 
 
 def read_calibration_record(path: Path) -> CalibrationRecord:
@@ -145,6 +149,7 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
                 if "camera_from_target" in one
             },
             inputs=digests(content),
+            basis=optional_table(content.get("basis")),
             frames={
                 text(name): (text(one["parent"]), text(one["child"]))
                 for name, one in records.items()

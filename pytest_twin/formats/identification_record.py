@@ -15,6 +15,7 @@ from pytest_twin.formats.record_fields import (
     covariance,
     digests,
     number,
+    optional_table,
     read_record,
     standard_deviation,
     text,
@@ -69,6 +70,8 @@ class IdentificationRecord:
         encoders: joint -> calibration of its encoder, before and after.
         drive_gains: joint -> recorded current per N*m (N); the parameters belong to the current
             divided by it.
+        basis: field ``basis`` as written: content of the inputs that it used; None in a record of
+            an earlier version.
     """
 
     id: str
@@ -92,6 +95,7 @@ class IdentificationRecord:
     encoder_steps: Mapping[str, float] = field(default_factory=dict)
     encoders: Mapping[str, EncoderChange] = field(default_factory=dict)
     drive_gains: Mapping[str, float] = field(default_factory=dict)
+    basis: Mapping[str, Any] | None = None
 
 
 def read_identification_record(path: Path) -> IdentificationRecord:
@@ -135,6 +139,7 @@ def read_identification_record(path: Path) -> IdentificationRecord:
                 number(filtered["rate"]),
             ),
             inputs=digests(content),
+            basis=optional_table(content.get("basis")),
             units={text(name): text(one["unit"]) for name, one in used.items() if "unit" in one},
             deviations={
                 text(name): standard_deviation(one["ci95"])

@@ -78,6 +78,17 @@ def covariance(rows: Any, size: int) -> Matrix:
         raise ValueError(f"covariance: {error}") from None
 
 
+def optional_table(value: Any) -> dict[str, Any] | None:
+    """Return ``value`` if it is a table or None.
+
+    Raises:
+        ValueError: ``value`` is anything else.
+    """
+    if value is not None and not isinstance(value, dict):
+        raise ValueError(f"{value!r} is not a table")
+    return value
+
+
 def digests(content: Any) -> dict[str, str]:
     """Return input file of a record -> SHA-256, hex.
 

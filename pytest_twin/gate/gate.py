@@ -21,6 +21,7 @@ from pytest_twin.gate.update import Update, record
 from pytest_twin.gate.verdict import Facts, SessionFacts
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
+from pytest_twin.records.state import stale_lines, stale_reasons
 from pytest_twin.twin import load_twin
 
 if TYPE_CHECKING:
@@ -122,7 +123,10 @@ class Gate:
                 tuple(sorted(current.dependencies.depends_on[key])),
                 (Reason(f"{realization}/model", "cannot be read"),)
                 if realization in current.unread
-                else reasons[key],
+                else (
+                    *reasons[key],
+                    *stale_reasons(current.records, current.dependencies.depends_on[key]),
+                ),
                 proofs.get(key),
             )
             for golden in goldens
@@ -149,9 +153,10 @@ class Gate:
                 *(() if known is None else lost_manifests(known, current.chain, self.twin)),
                 *recorded_without_authority(goldens),
             ),
-            notes=notes,
             chain=current.chain.content,
             chain_changes=() if baseline is None else tuple(changes_since(baseline, current.chain)),
+            notes=(*notes, *(note for state in current.records for note in state.notes)),
+            stale_records=stale_lines(current.records, self.twin),
         )
 
     def _baseline(self) -> tuple[Release | None, Release | None, tuple[str, ...]]:
@@ -244,8 +249,8 @@ class Gate:
             missing=plan.missing,
             dropped=plan.dropped,
             changed=self._changed(plan) if self.outcomes else (),
-            problems=plan.problems,
             chain_changes=plan.chain_changes,
+            problems=(*plan.stale_records, *plan.problems),
             baseline=None if plan.baseline is None else plan.baseline.number,
             session=session,
         )

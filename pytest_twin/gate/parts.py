@@ -18,8 +18,10 @@ from pytest_twin.golden import Golden
 from pytest_twin.installed import entry_points_by_name, package_of
 from pytest_twin.realization.features.cache import Features, features_of
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.records.files import file_digests, source_reference
+from pytest_twin.records.state import RecordState, record_states, unknown_statements, with_records
 from pytest_twin.staleness import DependencyMap, Lookups, Model, dependency_map, rule_problems
-from pytest_twin.twin import MODEL_FORMATS, Twin
+from pytest_twin.twin import MODEL_FORMATS, RealizationRef, Twin
 
 _VERSIONED = ("simulator:", "library:")
 
@@ -34,6 +36,7 @@ class CollectedDependencies:
         problems: errors while the dependencies were collected, one line each.
         unread: realizations whose model could not be read.
         chain: from the supplier's archive to the models.
+        records: records in use, with the changes of their inputs.
     """
 
     dependencies: DependencyMap
@@ -41,6 +44,7 @@ class CollectedDependencies:
     problems: tuple[str, ...]
     unread: frozenset[str]
     chain: AssetChain
+    records: tuple[RecordState, ...] = ()
 
 
 def collect_dependencies(
@@ -59,7 +63,7 @@ def collect_dependencies(
     models: dict[str, Model] = {}
     for name in dict.fromkeys(name for golden in goldens for name in golden.realizations):
         try:
-            features = _features(twin, name, child, fresh=fresh)
+            features = _features(twin, twin.realizations[name], child, fresh=fresh)
             models[name] = Model(features.parts, features.structure)
             files.update(dict.fromkeys(features.files))
         except TwinError as error:
@@ -102,6 +106,14 @@ def collect_dependencies(
     problems += unpromoted_lines(twin)
     problems += map(str, rule_problems(twin, goldens, models, kinds()))
     dependencies = dependency_map(twin, goldens, models, lookups)
+    try:
+        records = states_of_records(twin, child, fresh=fresh)
+    except TwinError as error:
+        records = ()
+        problems.append(str(error))
+    structures = {name: model.structure for name, model in models.items()}
+    dependencies = with_records(dependencies, records, structures)
+    problems += map(str, unknown_statements(records, twin))
     for path in files:
         try:
             digest(path)
@@ -109,8 +121,40 @@ def collect_dependencies(
             problems.append(str(error))
     wanted = {name for golden in goldens for name in golden.realizations}
     return CollectedDependencies(
-        dependencies, digests, tuple(problems), frozenset(wanted - models.keys()), chain
+        dependencies,
+        digests,
+        tuple(problems),
+        frozenset(wanted - models.keys()),
+        chain,
+        records,
     )
+
+
+def states_of_records(
+    twin: Twin, child: Sandbox, *, fresh: bool = False
+) -> tuple[RecordState, ...]:
+    """Compare the inputs of each record of a twin with the present ones.
+
+    Args:
+        twin: the twin.
+        child: process that reads the models that are not in the cache.
+        fresh: whether to read all models without the cache, for a release.
+
+    Raises:
+        TwinError: a record or a model cannot be read.
+    """
+    read: dict[str | Path, Model] = {}
+
+    def source_of(model: str | Path) -> Model:
+        if model not in read:
+            reference = source_reference(twin, model)
+            features = _features(
+                twin, reference, child, fresh=fresh, is_realization=isinstance(model, str)
+            )
+            read[model] = Model({**features.parts, **features.replaced}, features.structure)
+        return read[model]
+
+    return record_states(twin, source_of, file_digests(twin))
 
 
 class _CheckWithReportedErrors:
@@ -164,13 +208,27 @@ def _converter(model: Path) -> dict[str, str]:
     return {point.value: package_of(point) for point in points}
 
 
-def _features(twin: Twin, name: str, child: Sandbox, *, fresh: bool) -> Features:
-    arguments = {"twin": str(twin.path), "realization": name}
+def _features(
+    twin: Twin,
+    reference: RealizationRef,
+    child: Sandbox,
+    *,
+    fresh: bool = False,
+    is_realization: bool = True,
+) -> Features:
+    def read() -> object:
+        path = str(twin.path)
+        if is_realization:
+            arguments = {"twin": path, "realization": reference.name}
+            return child.call("pytest_twin.gate.worker:features", arguments)
+        arguments = {"twin": path, "name": reference.name, "model": str(reference.file)}
+        return child.call("pytest_twin.gate.worker:source_features", arguments)
+
     return features_of(
         twin,
-        name,
-        lambda: child.call("pytest_twin.gate.worker:features", arguments),
+        reference,
+        read,
         {library: installed_version(library) for library in ("mujoco", "trimesh")}
-        | _converter(twin.realizations[name].file),
+        | _converter(reference.file),
         fresh=fresh,
     )

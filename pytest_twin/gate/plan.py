@@ -66,6 +66,7 @@ class Plan:
         notes: further lines for the terminal.
         chain: from the supplier's archive to the models, as a release states it.
         chain_changes: steps of the chain that differ from the baseline, one line each.
+        stale_records: records whose inputs changed, one line each; they prevent a release.
     """
 
     tasks: Mapping[str, Task]
@@ -79,6 +80,7 @@ class Plan:
     notes: tuple[str, ...] = ()
     chain: Mapping[str, Any] = field(default_factory=dict)
     chain_changes: tuple[str, ...] = ()
+    stale_records: tuple[str, ...] = ()
 
     @property
     def stale(self) -> tuple[Task, ...]:

@@ -27,6 +27,7 @@ def why_lines(plan: Plan) -> list[str]:
             continue
         lines.append(f"stale  {task.key}")
         lines += [f"         {reason}" for reason in task.reasons]
+    lines += plan.stale_records
     lines += _records(plan)
     lines += [f"missing  {ident}" for ident in plan.missing]
     lines += [f"dropped  {key}  (retired, or its realization was removed)" for key in plan.dropped]

@@ -76,6 +76,9 @@ def finish(
     plan = gate.plan()
     facts = gate.facts(session)
     lines = [*plan.notes]
+    if not policy.sign:
+        # A release lists them among its reasons.
+        lines += plan.stale_records
     proven = facts.proven.keys() - facts.outcomes.keys()
     if proven and plan.baseline is not None:
         lines.append(f"{len(proven)} still proven by release {plan.baseline.number:04d}")

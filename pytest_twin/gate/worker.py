@@ -18,9 +18,10 @@ from pytest_twin.outcome import Measure
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.features.cache import Features
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
+from pytest_twin.realization.record_inputs import load_unfitted, unfitted
 from pytest_twin.report.plots import plot
 from pytest_twin.trial import make_trials, recording_at
-from pytest_twin.twin import Twin, load_twin
+from pytest_twin.twin import RealizationRef, Twin, load_twin
 
 Progress = Callable[[float], None]
 
@@ -228,4 +229,16 @@ def _realization(twin: Path, name: str) -> Realization:
 def features(twin: str, realization: str) -> dict[str, Any]:
     """Parts, structure and files of a realization, for the dependency map."""
     loaded = _realization(Path(twin), realization)
+    source = unfitted(loaded)
+    replaced = {
+        ident: part
+        for ident, part in source.parts.items()
+        if ident not in loaded.parts or loaded.parts[ident].digest != part.digest
+    }
+    return Features(loaded.parts, loaded.structure, loaded.source.files, replaced).to_json()
+
+
+def source_features(twin: str, name: str, model: str) -> dict[str, Any]:
+    """Parts, structure and files of another model that a record was made with."""
+    loaded = load_unfitted(_twin(Path(twin)), RealizationRef(name, Path(model)))
     return Features(loaded.parts, loaded.structure, loaded.source.files).to_json()

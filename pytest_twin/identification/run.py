@@ -25,7 +25,7 @@ from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.encoder_changes import encoder_changes
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.known_effects import notes_on_effects
-from pytest_twin.identification.measured_recordings import MeasuredRecording
+from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify import identify_sensors
@@ -33,7 +33,9 @@ from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
+from pytest_twin.realization.record_inputs import basis_json, unfitted
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
+from pytest_twin.records.basis import Uses
 from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
 
 REALIZATION = "realization"
@@ -47,6 +49,7 @@ class IdentificationRequest:
         model: path of an MJCF, URDF or ``twin.yaml``.
         recordings, held_out: files and folders.
         out: empty folder, in which ``realization/`` is written.
+        folder: folder that the record will be in; ``out`` if empty.
         name: id of the record.
         topics: role of a topic -> topic; these take precedence over those of the twin.
         options: settings for reading recordings; they take precedence over the twin's.
@@ -66,6 +69,7 @@ class IdentificationRequest:
     roots: Sequence[str] = ()
     tosses: Mapping[str, Any] | None = None
     sensors: Sequence[Mapping[str, str]] = ()
+    folder: str = ""
 
 
 def identify_files(
@@ -89,13 +93,14 @@ def identify_files(
     recordings, held_out, sensors = asked.recordings, asked.held_out, asked.sensors
     options = RecordingOptions.from_json(asked.options)
     search = SearchFolders.of(asked.roots, asked.packages)
-    realization, notes = _load(Path(model), search, options.base)
+    realization, notes = _load(Path(model), name, search, options.base)
     twin = realization.twin
     chosen = options.over(NO_OPTIONS if twin is None else twin.recordings)
     signals = chosen.signals
     stated = DEFAULT_TOPICS if twin is None else twin.topics
     paths = [Path(one) for one in recordings]
     tested = [Path(one) for one in held_out]
+    inputs = _Inputs(realization, Path(model), name, Path(asked.folder or out), [*paths, *tested])
     progress(0.1)
     if sensors:
         document = identify_sensors(
@@ -103,14 +108,14 @@ def identify_files(
             {**stated, **topics}["state"], _new_folder(Path(out) / REALIZATION),
             lambda fraction: progress(0.1 + 0.9 * fraction),
         )  # fmt: skip
-        return _with_digests(document, notes, name, realization, [Path(model), *paths, *tested])
+        return inputs.add(document, notes, Uses(everything=True))
     tossed = TossOptions(**(asked.tosses or {}))
     if are_tosses([*paths, *tested], tossed):
         document = identify_contact(
             realization, paths, tested, tossed, _new_folder(Path(out) / REALIZATION),
             lambda fraction: progress(0.1 + 0.9 * fraction),
         )  # fmt: skip
-        return _with_digests(document, notes, name, realization, [Path(model), *paths, *tested])
+        return inputs.add(document, notes, Uses(everything=True))
     measured = read_by_role(
         paths, tested, realization,
         {**stated, **topics}, chosen, signals,
@@ -173,7 +178,9 @@ def identify_files(
     reasons = [] if has_effort(measured) else [n for one in measured.fit for n in one.notes]
     said = [*notes, *measured.notes, *dict.fromkeys(reasons)]
     progress(1.0)
-    return _with_digests(document, said, name, realization, [Path(model), *paths, *tested])
+    # Along measured efforts, the motion is simulated only where commands drive it.
+    simulated = any("position_rms" in errors for errors in document["held_out"].values())
+    return inputs.add(document, said, _uses(realization, measured, simulated=simulated))
 
 
 def _without_effort(
@@ -195,23 +202,58 @@ def _new_folder(folder: Path) -> Path:
     return folder
 
 
-def _with_digests(
-    document: dict[str, Any],
-    notes: Sequence[str],
-    name: str,
-    realization: Realization,
-    files: Sequence[Path],
-) -> dict[str, Any]:
-    """Return the document with its id and the digests of its inputs."""
-    document["notes"] = [*notes, *document["notes"]]
-    document["identification"] = name
-    document["inputs"] = {
-        path.name: {"sha256": file_sha256(path)}
-        for path in (*files, realization.path)
-        if path.is_file()
-    }
-    document["realization"] = f"{REALIZATION}/"
-    return document
+@dataclass(frozen=True, slots=True)
+class _Inputs:
+    """Inputs of an identification.
+
+    Attributes:
+        realization: the model as identified.
+        given: path of the MODEL that the user named.
+        name: id of the record.
+        folder: folder that the record will be in.
+        recordings: all recordings.
+    """
+
+    realization: Realization
+    given: Path
+    name: str
+    folder: Path
+    recordings: Sequence[Path]
+
+    def add(self, document: dict[str, Any], notes: Sequence[str], uses: Uses) -> dict[str, Any]:
+        """Return the document with its id, and with digests and content of its inputs."""
+        realization = self.realization
+        document["notes"] = [*notes, *document["notes"]]
+        document["identification"] = self.name
+        document["inputs"] = {
+            path.name: {"sha256": file_sha256(path)}
+            for path in (self.given, *self.recordings, realization.path)
+            if path.is_file()
+        }
+        document["basis"] = basis_json(
+            unfitted(realization), uses, realization.twin, self.folder,
+            {path.name: path for path in self.recordings},
+            has_twin=realization.twin is not None,
+        )  # fmt: skip
+        document["realization"] = f"{REALIZATION}/"
+        return document
+
+
+def _uses(realization: Realization, recordings: MeasuredRecordings, *, simulated: bool) -> Uses:
+    """Return the parts that the fit of a robot's motion uses."""
+
+    measured = (*recordings.fit, *recordings.held_out)
+
+    def named(key: str) -> tuple[str, ...]:
+        return tuple(sorted({one.metadata[key] for one in measured if key in one.metadata}))
+
+    joints = {joint for one in measured for joint in one.joints}
+    return Uses(
+        joints=tuple(joint for joint in realization.joints if joint in joints),
+        simulated=simulated,
+        controllers=named("controller"),
+        payloads=named("payload"),
+    )
 
 
 def _paths(measured: Sequence[MeasuredRecording]) -> list[Path]:
@@ -261,12 +303,17 @@ def _from_commands(
     return document
 
 
-def _load(path: Path, search: SearchFolders, base: Base | None) -> tuple[Realization, list[str]]:
-    """Load the model with its twin, without shapes if meshes of a URDF are missing."""
+def _load(
+    path: Path, ident: str, search: SearchFolders, base: Base | None
+) -> tuple[Realization, list[str]]:
+    """Load the model with its twin, without shapes if meshes of a URDF are missing.
+
+    An earlier record of the same id is left out: the record is made afresh from the same inputs.
+    """
     twin: Twin | None = None
     name = "mujoco"
     if path.suffix.lower() in (".yaml", ".yml"):
-        twin = load_twin(path)
+        twin = load_twin(path).before_fit(ident)
         first = twin.first_realization
         name, path = first.name, first.file
     as_declared = partial(

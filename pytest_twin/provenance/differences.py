@@ -34,6 +34,8 @@ from pytest_twin.provenance.poses import (
 )
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.encoders import calibration_of
+from pytest_twin.realization.record_inputs import states_of_records
+from pytest_twin.records.state import RecordState
 from pytest_twin.staleness import changes, twin_parts
 from pytest_twin.twin import FreshPolicy, JointCalibration, Twin, load_twin
 
@@ -57,12 +59,14 @@ class Version:
         realization: its first realization.
         parts: part id -> part, of the realization and of ``twin.yaml``.
         frame: tool centre point: ``tcp:`` of ``twin.yaml``, or the last moving body.
+        records: its records, with the changes of their inputs.
     """
 
     twin: Twin
     realization: Realization
     parts: Mapping[str, Part]
     frame: str
+    records: Mapping[str, RecordState]
 
     @classmethod
     def of(cls, file: Path) -> Version:
@@ -79,7 +83,10 @@ class Version:
         frame = twin.tcp or deepest
         parts = {**realization.parts, **twin_parts(twin, _digest)}
         parts[_TCP] = Part(_TCP, {"name": frame})
-        return cls(twin, realization, parts, frame)
+        records = {state.part.id: state for state in states_of_records(twin)}
+        # A record whose inputs are unchanged has no part of its own.
+        parts.update({ident: state.part for ident, state in records.items() if state.changes})
+        return cls(twin, realization, parts, frame, records)
 
 
 def _digest(file: str) -> str | None:
@@ -195,7 +202,9 @@ class _Differences:
         layer, _, name = ident.partition(":")
         layer = layer.rpartition("/")[2]
         size: dict[str, Any] | None = None
-        if layer in WITHOUT_EFFECT:
+        if layer == "basis":
+            matters, why, reasons = self._effect_of_record(ident, reasons)
+        elif layer in WITHOUT_EFFECT:
             matters, why = False, "it changes neither geometry nor motion"
         elif layer in NOT_MODELLED:
             matters, why = True, "no model shows its effect on this data"
@@ -227,6 +236,27 @@ class _Differences:
             "why": why,
             "size": size,
         }
+
+    def _effect_of_record(
+        self, ident: str, reasons: Sequence[Reason]
+    ) -> tuple[bool, str, Sequence[Reason]]:
+        state = self.new.records.get(ident)
+        if state is None or not state.changes:
+            return False, "the inputs of the record are as they were when it was made", reasons
+        reasons = [
+            replace(reason, field=f"{reason.part}: {reason.field}")
+            for change in state.changes
+            for reason in change.reasons
+        ]
+        if state.touching:
+            why = f"record {state.record.id!r} is stale: its values are of the robot before"
+            return True, why, reasons
+        stated = "; ".join(
+            f"{change.accepted.owner}: {change.accepted.reason}"
+            for change in state.changes
+            if change.accepted is not None
+        )
+        return False, f"stated not to touch record {state.record.id!r}: {stated}", reasons
 
     def _is_unused(self, layer: str, name: str) -> bool:
         named = self.variants[layer]

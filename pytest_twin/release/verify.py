@@ -23,8 +23,9 @@ REPORT = "report.html"
 FILES = "files"
 
 Code = Literal[
-    "envelope", "files", "folder", "twin", "order", "rollback", "expired", "future", "keys", "stamp"
-]
+    "envelope", "files", "folder", "twin", "order", "rollback", "expired", "future", "keys",
+    "stamp", "records",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

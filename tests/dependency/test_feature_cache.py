@@ -43,7 +43,7 @@ class Reader:
 
     def features(self, versions: dict[str, str] = VERSIONS, *, fresh: bool = False) -> Features:
         twin = load_twin(self.root / "twin.yaml")
-        return features_of(twin, "mujoco", self, versions, fresh=fresh)
+        return features_of(twin, twin.first_realization, self, versions, fresh=fresh)
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def test_reading_the_cache_imports_no_simulator(reader: Reader) -> None:
         "from pytest_twin.twin import load_twin\n"
         "def read(): raise SystemExit('read')\n"
         f"twin = load_twin(Path({str(reader.root / 'twin.yaml')!r}))\n"
-        "assert features_of(twin, 'mujoco', read, {'mujoco': '4.0.0'}).parts\n"
+        "assert features_of(twin, twin.first_realization, read, {'mujoco': '4.0.0'}).parts\n"
         "assert not {'mujoco', 'pinocchio', 'coal', 'numpy'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)

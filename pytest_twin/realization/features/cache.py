@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,12 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import bytes_sha256, file_sha256
 from pytest_twin.formats.paths import read_bytes
-from pytest_twin.twin import Twin
+from pytest_twin.twin import RealizationRef, Twin
 
 FOLDER = ".twin/cache"
 _MAX_BYTES = 256 * 2**20
 """Largest size of a cached file."""
-_SCHEMA = 1
+_SCHEMA = 2
 """Version of the cache's layout."""
 
 
@@ -35,11 +35,14 @@ class Features:
         parts: part id -> part.
         structure: kinematic tree, actuators and couplings.
         files: all files that the model was read from.
+        replaced: part id -> part, where a record or ``fit:`` replaces values of the model: with
+            the model's own values.
     """
 
     parts: Mapping[str, Part]
     structure: Structure
     files: tuple[Path, ...]
+    replaced: Mapping[str, Part] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields as JSON-able values."""
@@ -47,6 +50,7 @@ class Features:
             "structure": self.structure.to_json(),
             "parts": {ident: part.content for ident, part in self.parts.items()},
             "files": [str(path) for path in self.files],
+            "replaced": {ident: part.content for ident, part in self.replaced.items()},
         }
 
     @classmethod
@@ -59,10 +63,12 @@ class Features:
         if not isinstance(data, Mapping):
             raise ValueError("not a table")
         structure = Structure.from_json(data.get("structure"))
-        parts, files = data.get("parts"), data.get("files")
+        parts, files, replaced = data.get("parts"), data.get("files"), data.get("replaced")
         if not isinstance(parts, Mapping) or set(parts) != structure.part_ids:
             raise ValueError("not the parts of the structure")
-        if not all(isinstance(content, Mapping) for content in parts.values()):
+        if not isinstance(replaced, Mapping):
+            raise ValueError("not a table of parts")
+        if not all(isinstance(one, Mapping) for one in (*parts.values(), *replaced.values())):
             raise ValueError("not the content of a part")
         if not isinstance(files, list) or not all(isinstance(path, str) for path in files):
             raise ValueError("not a list of files")
@@ -70,12 +76,13 @@ class Features:
             {ident: Part(ident, content) for ident, content in parts.items()},
             structure,
             tuple(Path(path) for path in files),
+            {ident: Part(ident, content) for ident, content in replaced.items()},
         )
 
 
 def features_of(
     twin: Twin,
-    realization: str,
+    reference: RealizationRef,
     read: Callable[[], object],
     versions: Mapping[str, str],
     *,
@@ -85,7 +92,7 @@ def features_of(
 
     Args:
         twin: the twin.
-        realization: name of the realization.
+        reference: realization, or another model that a record was made with.
         read: reads the features from the model in a child process; returns ``Features.to_json``.
         versions: Python distribution that reads models, such as MuJoCo -> version.
         fresh: whether to ignore the cache.
@@ -94,11 +101,11 @@ def features_of(
         TwinError: an error of ``read``.
         ValueError: ``read`` returned another structure.
     """
-    path = twin.root / FOLDER / f"{realization}.json"
+    path = twin.root / FOLDER / f"{reference.name}.json"
     # The path is part of the key: the cache in a copied folder refers to the original files.
     place = str(twin.path)
     # An effects file that was added later is not among the digests of the entry.
-    beside = twin.realizations[realization].effects is not None
+    beside = reference.effects is not None
     key = {
         "schema": _SCHEMA,
         "reader": _reader(),
@@ -106,10 +113,10 @@ def features_of(
         "twin": place,
         "effects": beside,
     }
-    found = None if fresh else _read_entry(path, key, realization)
+    found = None if fresh else _read_entry(path, key, reference.name)
     if found is not None:
         return found
-    before = _digests((*_twin_files(twin), twin.realizations[realization].file))
+    before = _digests((*_twin_files(twin), reference.file))
     features = Features.from_json(read())
     after = _digests((*_twin_files(twin), *features.files))
     # The entry is stored only if no file changed while it was read.
@@ -122,8 +129,10 @@ def features_of(
 
 def _twin_files(twin: Twin) -> tuple[Path, ...]:
     """Files of a twin that determine how its models are loaded."""
-    fit = () if twin.fit is None else (twin.fit.path,)
-    return (twin.path, *fit, *(entry.record.path for entry in twin.fits))
+    tables = (table.path for table in twin.fit_tables)
+    stated = () if twin.stated is None else (twin.stated.path,)
+    calibrations = (entry.record.path for entry in twin.calibrations)
+    return tuple(dict.fromkeys((twin.path, *tables, *stated, *calibrations)))
 
 
 def _read_entry(path: Path, key: Mapping[str, Any], realization: str) -> Features | None:

@@ -1,0 +1,1 @@
+"""Records of estimations: the inputs that each was made from, and whether they are unchanged."""

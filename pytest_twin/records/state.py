@@ -1,0 +1,376 @@
+"""Whether the records of a twin still match their inputs, and what changed where they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pytest_twin.dependency import Part, Structure
+from pytest_twin.errors import SpecError
+from pytest_twin.formats.calibration_record import CalibrationRecord
+from pytest_twin.formats.identification_record import IdentificationRecord
+from pytest_twin.outcome import Reason
+from pytest_twin.record_spec import Unaffected
+from pytest_twin.records.basis import EARLIER_RECORD, Basis, input_parts
+from pytest_twin.staleness import DependencyMap, Model, changes
+from pytest_twin.twin import Twin
+
+Record = IdentificationRecord | CalibrationRecord
+SourceOf = Callable[[str | Path], Model]
+"""Name of a realization, or path of another model -> its parts before any record replaces them."""
+_SHOWN_DIGITS = 12
+"""Number of hexadecimal digits of a digest in messages: enough that two changes differ."""
+_RANGES = "ranges"
+_MAX_NAMED = 3
+"""Largest number of changes of a record that a message names."""
+_ABSENT = Part("absent", {})
+
+
+@dataclass(frozen=True, slots=True)
+class FileDigests:
+    """Functions that return a digest of a file, hex; None where the twin has no such file.
+
+    Attributes:
+        content: of what it states, without comments and layout.
+        sha256: of its bytes.
+    """
+
+    content: Callable[[Path], str | None]
+    sha256: Callable[[Path], str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class InputChange:
+    """One input of a record that differs from the time when the record was made.
+
+    Attributes:
+        part: id of the input.
+        digest: SHA-256 of its present content, hex.
+        reasons: changed fields with old and new value.
+        accepted: statement of the owner that this change does not touch the record, or None.
+    """
+
+    part: str
+    digest: str
+    reasons: tuple[Reason, ...]
+    accepted: Unaffected | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RecordState:
+    """A record in use, and the changes of its inputs.
+
+    Attributes:
+        kind: how it is made again: ``identify`` or ``calibrate``.
+        where: its place in ``twin.yaml``, such as ``fit.0``.
+        record: the record.
+        uses: estimates that the twin uses of a calibration; empty for an identification.
+        changes: inputs that changed.
+        notes: what could not be compared.
+        statements: changes that its owner declared harmless.
+        inputs: ids of all of its inputs.
+    """
+
+    kind: str
+    where: str
+    record: Record
+    statements: tuple[Unaffected, ...] = ()
+    uses: tuple[str, ...] = ()
+    changes: tuple[InputChange, ...] = ()
+    notes: tuple[str, ...] = ()
+    inputs: frozenset[str] = frozenset()
+
+    @property
+    def touching(self) -> tuple[InputChange, ...]:
+        """Changes that no owner declared harmless: with any, the record is stale."""
+        return tuple(change for change in self.changes if change.accepted is None)
+
+    def accepted(self, change: InputChange) -> InputChange:
+        """Return a change with the statement of the owner that accepts it, if there is one."""
+        for stated in self.statements:
+            if stated.part == change.part and change.digest.startswith(stated.digest):
+                return replace(change, accepted=stated)
+        return change
+
+    @property
+    def part(self) -> Part:
+        """The state as a part that goldens depend on."""
+        return Part(
+            f"basis:{self.record.id}",
+            {
+                change.part: {
+                    "digest": change.digest,
+                    **({} if change.accepted is None else {"accepted": change.accepted.reason}),
+                }
+                for change in self.changes
+            },
+        )
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why the goldens of a stale record are stale."""
+        return tuple(
+            replace(reason, part=f"{self.record.id}, made with {reason.part}")
+            for change in self.touching
+            for reason in change.reasons
+        )
+
+    def line(self, twin: Twin) -> str:
+        """The error of a stale record in one line, with the ways out."""
+        touching = self.touching
+        named = [_in_words(change) for change in touching[:_MAX_NAMED]]
+        if len(touching) > _MAX_NAMED:
+            named.append(f"and {len(touching) - _MAX_NAMED} more")
+        statements = ", ".join(
+            f"{{part: '{change.part}', digest: {change.digest[:_SHOWN_DIGITS]}, "
+            'reason: "WHY", owner: "WHO"}'
+            for change in touching
+        )
+        return str(
+            twin.error(
+                self.where,
+                f"record {self.record.id!r} is stale: its inputs changed: " + "; ".join(named),
+                expected=f"pytest-twin {self.kind} again, or if it does not touch the record, "
+                f"here unaffected: [{statements}]",
+            )
+        )
+
+    def overridden(self, structure: Structure) -> frozenset[str]:
+        """Ids of the parts, of a realization and of the twin, that the record determines."""
+        name, record = structure.realization, self.record
+        found: set[str] = set()
+        if isinstance(record, CalibrationRecord):
+            found.add(f"record:{record.id}")
+            if "joint_zeros" in self.uses:
+                found |= {f"calibration:{joint}" for joint in record.joint_zeros}
+            if "base_world" in self.uses and record.base_world is not None:
+                roots = {structure.ancestors(body)[-1] for body in structure.body_tree}
+                found |= {f"{name}/kinematics:{body}" for body in roots} | {"base:calibration"}
+            return frozenset(found)
+        found.add(f"fit:{record.id}")
+        fitted = record.fit
+        for body, values in fitted.get("body", {}).items():
+            found |= {f"{name}/inertia:{body}"}
+            if not values.keys().isdisjoint(("pos", "quat")):
+                found |= {f"{name}/kinematics:{body}"}
+        found |= {f"{name}/joint:{joint}" for joint in fitted.get("joint", {})}
+        found |= {f"{name}/actuator:{actuator}" for actuator in fitted.get("actuator", {})}
+        for geom in fitted.get("geom", {}):
+            found |= {f"{name}/geom:{geom}"}
+            if geom in structure.geom_body:
+                found |= {f"{name}/collision:{structure.geom_body[geom]}"}
+        if fitted.get("pair"):
+            found.add(f"{name}/contact:pairs")
+        found |= {f"calibration:{joint}" for joint in record.encoders}
+        found |= {f"encoder:{joint}" for joint in record.encoder_steps}
+        found |= {f"sensor:{sensor.name}" for sensor in record.sensors}
+        return frozenset(found)
+
+
+def _in_words(change: InputChange) -> str:
+    return "; ".join(str(reason) for reason in change.reasons)
+
+
+def record_states(twin: Twin, source_of: SourceOf, digests: FileDigests) -> tuple[RecordState, ...]:
+    """Compare the inputs of each record in use with the present ones.
+
+    Raises:
+        TwinError: a record or a model cannot be read.
+    """
+    states = []
+    for state, before in _records_in_use(twin):
+        if state.record.basis is None:
+            compared = _with_changed_files(state, twin, digests)
+        else:
+            compared = _with_changed_inputs(state, before, twin, source_of, digests)
+        states.append(
+            replace(compared, changes=tuple(compared.accepted(one) for one in compared.changes))
+        )
+    return tuple(states)
+
+
+def models_of_records(twin: Twin) -> frozenset[str | Path]:
+    """Names of realizations, and paths of other models, that the records in use were made with.
+
+    Raises:
+        FormatError: a record cannot be read.
+    """
+    found = (
+        model_of(Basis.from_json(state.record.basis, state.record.path), state.record, twin)
+        for state, _ in _records_in_use(twin)
+        if state.record.basis is not None
+    )
+    return frozenset(model for model in found if model is not None)
+
+
+def _records_in_use(twin: Twin) -> Iterator[tuple[RecordState, Twin]]:
+    """Each record in use, and the twin that it was made with."""
+    listed = [table.id for table in twin.fit_tables]
+    in_use = {record.id for record in twin.fits_in_use}
+    for fit in twin.fits:
+        if (ident := fit.record.id) in in_use:
+            where = f"fit.{listed.index(ident)}"
+            yield (
+                RecordState("identify", where, fit.record, fit.unaffected),
+                twin.before_fit(ident),
+            )
+    for at, group in enumerate(twin.ranges.trials):
+        # It is not used as a fit; which fits it was made with is not known.
+        without = replace(twin, fit=None, fit_tables=(), fits=(), calibration=twin.calibrated)
+        yield (
+            RecordState("identify", f"{_RANGES}.trials.{at}", group.record, group.unaffected),
+            without,
+        )
+    for at, entry in enumerate(twin.calibrations):
+        if entry in twin.calibrations_in_use:
+            yield (
+                RecordState(
+                    "calibrate", f"calibrations.{at}", entry.record, entry.unaffected, entry.use
+                ),
+                twin.before_calibration(entry.record.id),
+            )
+
+
+def model_of(basis: Basis, record: Record, twin: Twin) -> str | Path | None:
+    """Realization that a record was made with, or the path of another model, or None.
+
+    A realization is found by its file, or by the file's name where the record was moved.
+    """
+    if not basis.model:
+        return None
+    path = (record.path.parent / basis.model).resolve()
+    for name, reference in twin.realizations.items():
+        if reference.file.resolve() == path:
+            return name
+    if twin.path_roots.contains(path) and path.is_file():
+        return path
+    names = [n for n, ref in twin.realizations.items() if ref.file.name == path.name]
+    return names[0] if names else None
+
+
+def _with_changed_inputs(
+    state: RecordState, before: Twin, twin: Twin, source_of: SourceOf, digests: FileDigests
+) -> RecordState:
+    record, notes = state.record, list[str]()
+    assert record.basis is not None
+    basis = Basis.from_json(record.basis, record.path)
+    model = model_of(basis, record, twin)
+    found: list[InputChange] = []
+    if model is None and basis.model:
+        notes.append(
+            f"record {record.id!r} was made with {basis.model}, which this twin does not have: "
+            "whether that model changed is not known"
+        )
+    elif model is not None:
+        today = input_parts(basis.uses, source_of(model), before, has_twin=basis.has_twin)
+        found += _changed_parts(basis.parts, today, state)
+    for name, (file, digest) in basis.files.items():
+        present = digests.content((record.path.parent / file).resolve())
+        if present is not None and present != digest:
+            found.append(_changed_file(name, digest, present))
+    inputs = {*basis.parts, *(f"file:{name}" for name in basis.files)}
+    inputs |= {change.part for change in found}
+    return replace(state, changes=tuple(found), notes=tuple(notes), inputs=frozenset(inputs))
+
+
+def _changed_parts(
+    then: Mapping[str, Part], today: Mapping[str, Part], state: RecordState
+) -> Iterator[InputChange]:
+    for ident in sorted(then.keys() | today.keys()):
+        old, new = then.get(ident, _ABSENT), today.get(ident, _ABSENT)
+        if old.digest == new.digest:
+            continue
+        if ident.startswith(EARLIER_RECORD) and (
+            state.where.startswith(_RANGES) or _is_replaced(old, new, state.record)
+        ):
+            continue
+        named = Part(ident, old.content), Part(ident, new.content)
+        yield InputChange(ident, new.digest, tuple(changes(*named)))
+
+
+def _is_replaced(old: Part, new: Part, record: Record) -> bool:
+    """Whether an earlier record was removed and the record itself has all of its values."""
+    if new is not _ABSENT or not isinstance(record, IdentificationRecord):
+        return False
+    return all(
+        set(values) <= set(record.fit.get(family, {}).get(name, {}))
+        for family, elements in old.content.items()
+        for name, values in elements.items()
+    )
+
+
+def _changed_file(name: str, old: str, new: str) -> InputChange:
+    digits = slice(0, _SHOWN_DIGITS)
+    return InputChange(
+        f"file:{name}", new, (Reason(f"file:{name}", "content", old[digits], new[digits]),)
+    )
+
+
+def _with_changed_files(state: RecordState, twin: Twin, digests: FileDigests) -> RecordState:
+    """Compare the files of a record that states only their SHA-256."""
+    record, found = state.record, list[InputChange]()
+    models = {reference.file.name: reference.file for reference in twin.realizations.values()}
+    for name, sha256 in record.inputs.items():
+        if Path(name).name == twin.path.name:
+            # The record itself was added to it.
+            continue
+        folders = (record.path.parent, record.path.parent.parent, twin.root)
+        paths = [models.get(Path(name).name), *(folder / name for folder in folders)]
+        present = [
+            digest
+            for path in paths
+            if path is not None and (digest := digests.sha256(path.resolve())) is not None
+        ]
+        if present and sha256 not in present:
+            found.append(_changed_file(name, sha256, present[0]))
+    note = (
+        f"record {record.id!r} does not state which parts of its inputs it used (an earlier "
+        "version made it): the SHA-256 of its files is compared, so that a comment counts as a "
+        f"change, and changes of {twin.path.name} are not seen; pytest-twin {state.kind} again "
+        "states them"
+    )
+    inputs = frozenset(f"file:{name}" for name in record.inputs)
+    return replace(state, changes=tuple(found), notes=(note,), inputs=inputs)
+
+
+def with_records(
+    dependencies: DependencyMap, states: Sequence[RecordState], structures: Mapping[str, Structure]
+) -> DependencyMap:
+    """Add the state of each record to the goldens whose result the record determines."""
+    parts = {**dependencies.parts, **{state.part.id: state.part for state in states}}
+    depends_on = {}
+    for key, ids in dependencies.depends_on.items():
+        structure = structures.get(key.rpartition("@")[2])
+        added = {
+            state.part.id
+            for state in states
+            if structure is not None and not ids.isdisjoint(state.overridden(structure))
+        }
+        depends_on[key] = ids | added
+    return DependencyMap(parts, depends_on)
+
+
+def stale_lines(states: Sequence[RecordState], twin: Twin) -> tuple[str, ...]:
+    """Return one line for each stale record."""
+    return tuple(state.line(twin) for state in states if state.touching)
+
+
+def stale_reasons(
+    states: Sequence[RecordState], ids: frozenset[str] | Sequence[str]
+) -> tuple[Reason, ...]:
+    """Reasons why a golden with these dependencies is stale because of its records."""
+    return tuple(reason for state in states if state.part.id in ids for reason in state.reasons)
+
+
+def unknown_statements(states: Sequence[RecordState], twin: Twin) -> Iterator[SpecError]:
+    """Errors for statements under ``unaffected:`` of parts that are no inputs of the record."""
+    for state in states:
+        for at, stated in enumerate(state.statements):
+            if stated.part not in state.inputs:
+                yield twin.error(
+                    f"{state.where}.unaffected.{at}.part",
+                    f"no input of record {state.record.id!r}",
+                    value=stated.part,
+                    expected="a changed input, as pytest names it",
+                )
