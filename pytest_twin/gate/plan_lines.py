@@ -13,8 +13,6 @@ from pytest_twin.report.text import quantity
 
 MAX_CHANGES = 60
 """Largest number of changed values that are printed."""
-_CALIBRATION_LAYERS = ("/kinematics", "/frame", "/coupling")
-"""Layers of a realization that the result of a calibration depends on."""
 
 
 def why_lines(plan: Plan) -> list[str]:
@@ -28,7 +26,7 @@ def why_lines(plan: Plan) -> list[str]:
         lines.append(f"stale  {task.key}")
         lines += [f"         {reason}" for reason in task.reasons]
     lines += plan.stale_records
-    lines += _records(plan)
+    lines += _unchecked_records(plan)
     lines += [f"missing  {ident}" for ident in plan.missing]
     lines += [f"dropped  {key}  (retired, or its realization was removed)" for key in plan.dropped]
     lines += [f"orphaned trace  {name}" for name in plan.orphans]
@@ -38,31 +36,20 @@ def why_lines(plan: Plan) -> list[str]:
     return lines
 
 
-def _records(plan: Plan) -> Iterator[str]:
-    """Calibration records that are stale, and those that no golden checks."""
-    changed: dict[str, set[str]] = {}
-    for task in plan.tasks.values():
-        if task.golden.kind == "calibration":
-            ident = f"record:{task.golden.target['record']}"
-            parts = {reason.part for reason in task.reasons}
-            changed.setdefault(ident, set()).update(
-                part for part in parts if _affects_calibration(part, new_record=ident in parts)
-            )
+def _unchecked_records(plan: Plan) -> Iterator[str]:
+    """Calibration records that no golden checks."""
+    checked = {
+        f"record:{task.golden.target['record']}"
+        for task in plan.tasks.values()
+        if task.golden.kind == "calibration"
+    }
     for ident, record in sorted(plan.parts.items()):
-        if not ident.startswith("record:") or record.content["superseded"]:
-            continue
-        if ident not in changed:
+        if (
+            ident.startswith("record:")
+            and not record.content["superseded"]
+            and ident not in checked
+        ):
             yield f"unchecked  {ident}  no golden of kind calibration re-checks it"
-        elif changed[ident]:
-            yield f"stale  {ident}  measured with parts that have changed"
-            yield from (f"         {part}" for part in sorted(changed[ident]))
-
-
-def _affects_calibration(part: str, *, new_record: bool) -> bool:
-    layer = part.partition(":")[0]
-    # A new record changes the joint zeros itself.
-    zero = layer == "calibration" and not new_record
-    return zero or layer.endswith(_CALIBRATION_LAYERS)
 
 
 def update_lines(updates: Sequence[Update]) -> list[str]:
