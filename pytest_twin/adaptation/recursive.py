@@ -66,6 +66,8 @@ class Window:
         parameters: parameters in use after the window.
         state: ``updated``, ``base`` (fallback; the recursion continues), or the reason why nothing
             was updated.
+        side: (p,) -1 where the estimate after the window is at its lower bound, 1 at its upper
+            bound, else 0.
     """
 
     start: float
@@ -73,6 +75,7 @@ class Window:
     updated_rms: float
     parameters: FloatArray
     state: str
+    side: FloatArray
 
 
 @dataclass(slots=True)
@@ -244,7 +247,8 @@ def _window(recursion: Recursion, row: Row, true: Trial, start: float) -> Window
             recursion.compare(*seen_errors)
     if state == "updated" and recursion.has_fallback:
         state = "base"
-    return Window(start, base_rms, used_rms, recursion.in_use.copy(), state)
+    side = 1.0 * (recursion.value >= high) - 1.0 * (recursion.value <= low)
+    return Window(start, base_rms, used_rms, recursion.in_use.copy(), state, side)
 
 
 def _windows(trial: Trial, length: float) -> list[tuple[float, Trial]]:

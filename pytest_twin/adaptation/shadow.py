@@ -116,10 +116,11 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
         }
     held = all(fault["holds"] for fault in document["faults"])
     met = all(one["met"] for one in document["metrics"])
+    at_bounds = document.get("update", {}).get("at_bounds", [])
     return {
         "policy": {"metrics": dict(policy.metrics), "safety": dict(policy.safety)},
         **document,
-        "verdict": "better" if met and held else "rejected",
+        "verdict": "better" if met and held and not at_bounds else "rejected",
         "notes": [*notes, *document["notes"]],
     }
 

@@ -30,6 +30,9 @@ _TRIED_WINDOWS = 12
 """Number of windows of motion for testing a fault: before, during and after it."""
 _WORSE = 1.05
 """Largest ratio of the update's error to the base's error, over all windows including the fault."""
+_RESTING_WINDOWS = 3
+"""Number of last updates at a bound after which an estimate rests there: one may touch it by
+chance."""
 _SEED = 57
 
 
@@ -82,6 +85,12 @@ def try_update(
     share = policy.metrics.get("position_rms", 0.0)
     after = [w.updated_rms for w in windows]
     allowed = policy.safety.get("position_max", 0.0)
+    resting = _at_bounds(spec, windows)
+    notes += [
+        f"{one['parameter']} rests on its bound of {one['bound']:g} "
+        f"({100 * one['share']:.0f} % of the updates): the recordings ask for a value beyond it, or for an effect that the update lacks"
+        for one in resting
+    ]
     return {
         "metrics": [
             _metric("position_rms", False, share, _rms(before), _rms(after)),
@@ -101,6 +110,7 @@ def try_update(
             "base": recursion.base.tolist(),
             "value": recursion.value.tolist(),
             "deviation": np.sqrt(np.diag(recursion.covariance)).tolist(),
+            "at_bounds": resting,
             "windows": [
                 {
                     "base_rms": w.base_rms,
@@ -113,6 +123,18 @@ def try_update(
         },
         "notes": notes,
     }
+
+
+def _at_bounds(spec: UpdateSpec, windows: Sequence[Window]) -> list[dict[str, Any]]:
+    """Parameters whose estimate is at a bound after the last updates, or after most of them."""
+    sides = np.array([w.side for w in windows if w.state in ("updated", "base")])
+    found = []
+    for column, (name, bounds) in enumerate(spec.parameters.items()):
+        for side, bound in zip((-1.0, 1.0), bounds, strict=True):
+            at = sides[:, column] == side if len(sides) else np.zeros(0, dtype=bool)
+            if len(at) and (at[-_RESTING_WINDOWS:].all() or at.mean() > 0.5):
+                found.append({"parameter": name, "bound": bound, "share": float(at.mean())})
+    return found
 
 
 def _metric(name: str, safety: bool, share: float, before: float, after: float) -> dict[str, Any]:

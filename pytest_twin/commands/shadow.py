@@ -161,4 +161,8 @@ def _words(document: dict[str, Any]) -> list[str]:
                 f"  {parameter}: {update['base'][at]:.4g} -> {update['value'][at]:.4g} "
                 f"+- {update['deviation'][at]:.2g}" + f" {unit}" * (unit != "1")
             )
+        lines += [
+            f"  NOT MET: {one['parameter']} rests on its bound of {one['bound']:g}"
+            for one in update["at_bounds"]
+        ]
     return [*lines, *(f"  note: {note}" for note in document["notes"])]

@@ -66,6 +66,21 @@ def test_estimates_keep_the_bounds_if_the_plant_is_outside_them(setting) -> None
     assert all(0.0 <= w.parameters[0] <= 0.08 for w in windows)
 
 
+@pytest.mark.parametrize(
+    ("bounds", "resting"),
+    [((0.0, 0.08), [0.08]), ((0.0, 0.4), []), ((0.05, 0.4), [])],
+    ids=["below the plant's value", "wide", "from the base"],
+)
+def test_an_estimate_that_rests_on_a_bound_is_named(setting, bounds: tuple, resting: list) -> None:
+    realization, trials = setting
+    spec = UpdateSpec("two", {"a.viscous_friction": bounds}, window=0.5, noise=0.001)
+    found = try_update(spec, realization, trials[:1], ShadowPolicy(metrics={"position_rms": 0.05}))
+    assert [one["bound"] for one in found["update"]["at_bounds"]] == resting
+    assert all(one["met"] for one in found["metrics"])
+    named = [note for note in found["notes"] if "a.viscous_friction rests on its bound" in note]
+    assert len(named) == len(resting)
+
+
 def test_a_base_outside_the_bounds_is_refused(setting) -> None:
     realization, _ = setting
     spec = UpdateSpec("three", {"a.viscous_friction": (0.1, 0.2)})

@@ -231,6 +231,20 @@ def test_the_values_of_an_update_have_units(
     assert any(line.startswith("  a.torque_constant: 0 -> ") for line in lines)
 
 
+def test_an_update_that_rests_on_its_bound_is_not_promoted(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The damping of the plant is outside the bounds; the update predicts better all the same."""
+    update = UPDATE.replace("JOINT", "a").replace("upper: 0.4", "upper: 0.06")
+    update = "\n".join(line for line in update.splitlines() if "torque_constant" not in line)
+    (place / "twin" / "twin.yaml").write_text(TWIN + update + "\n")
+    twin, data = str(place / "twin"), str(place / "0.mcap")
+    assert cli.main(["shadow", str(place / "twin/releases/0001"), twin, data, "--promote"]) == 1
+    output = capsys.readouterr().out
+    assert "NOT MET: a.viscous_friction rests on its bound of 0.06" in output
+    assert "promoted" not in output
+
+
 def test_an_update_of_an_unknown_joint_is_refused_with_its_place(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
