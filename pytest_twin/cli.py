@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
 import sys
@@ -11,7 +12,8 @@ from collections.abc import Sequence
 from pytest_twin import __version__
 from pytest_twin.commands import json_output, terminal
 from pytest_twin.commands.help import UNUSABLE_INPUT, Parser, did_you_mean, epilog, options_of
-from pytest_twin.errors import TwinError
+from pytest_twin.errors import TwinError, of_system
+from pytest_twin.interrupts import sigterm_as_interrupt
 from pytest_twin.systems import unsupported_system
 
 COMMANDS: tuple[str, ...] = (
@@ -77,20 +79,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     args = _parse(words)
     try:
-        with json_output.text_stream(args):
+        with sigterm_as_interrupt(), json_output.text_stream(args):
             status: int = args.run(args)
         json_output.write(args)
+        sys.stdout.flush()
     except TwinError as error:
         terminal.show_error(f"{_PROGRAM} {args.command}", str(error))
         return UNUSABLE_INPUT
     except BrokenPipeError:
         # The reader closed the pipe (`| head`); the files are written.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return BROKEN_PIPE
+    except OSError as error:
+        # A disk that is full or read-only, or standard output on one.
+        terminal.show_error(f"{_PROGRAM} {args.command}", str(of_system(error)))
+        _discard_output()
+        return UNUSABLE_INPUT
     except KeyboardInterrupt:
         terminal.show_error(f"{_PROGRAM} {args.command}", "interrupted; no file is half written")
         return INTERRUPTED
     return status
+
+
+def _discard_output() -> None:
+    """Keep Python from writing the rest of the output, which fails again, when it ends."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parse(words: list[str]) -> argparse.Namespace:

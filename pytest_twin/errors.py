@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 
@@ -80,6 +81,15 @@ class LimitError(FormatError):
 
 class PathError(TwinError):
     """A path outside its declared root folders, or a symbolic link where none is allowed."""
+
+
+DISK_ERRORS = frozenset({errno.ENOSPC, errno.EROFS, errno.EDQUOT})
+"""Errors of the operating system for a full or read-only disk."""
+
+
+def of_system(error: OSError) -> PathError:
+    """Error for a refusal of the operating system, with its own words and the file."""
+    return PathError(error.strerror or str(error), path=error.filename)
 
 
 def cannot_write(error: OSError, path: Path | str | None = None) -> PathError:

@@ -5,13 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from pytest_twin.commands import fleet, json_output, model_files
@@ -27,6 +24,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
+from pytest_twin.interrupts import first_interrupt
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
@@ -87,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_seconds,
         help="time limit, after which the best result so far is written with a list of the "
         f"searches that were not done (default: {SECONDS:g}, without time in which other programs "
-        "use the processors; 0: no limit); Ctrl-C ends a diagnosis early in the same way",
+        "use the processors; 0: no limit); Ctrl-C and SIGTERM end a diagnosis in the same way",
     )
     parser.add_argument(
         "--fleet",
@@ -178,12 +176,20 @@ def diagnose_into(
         TwinError: the input cannot be used.
     """
     found = find_model(model)
+
+    def stop() -> None:
+        sandbox.interrupt()
+        if progress is not None:
+            progress.tell(
+                "line", "stopping: the best result so far is written; Ctrl-C again aborts"
+            )
+
     with (
         results.result_folder(out, DIAGNOSIS_FILE, alone=True) as staging,
         # The simulator writes its log to the working folder, so use one that is deleted.
         temporary_folder() as scratch,
         Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox,
-        contextlib.nullcontext() if progress is None else _stopped_by_interrupt(sandbox, progress),
+        contextlib.nullcontext() if progress is None else first_interrupt(stop),
     ):
         summary: dict[str, Any] = sandbox.call(
             "pytest_twin.commands.diagnose:diagnose_files",
@@ -240,7 +246,7 @@ def diagnose_files(
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
 
-    SIGINT ends the search early; the best result so far is written.
+    An interrupt ends the search early; the best result so far is written.
 
     Args:
         request: fields of :class:`DiagnosisRequest`.
@@ -274,7 +280,6 @@ def diagnose_files(
     )
     seconds = asked.seconds
     budget = Budget(seconds, own_time=asked.own_time)
-    signal.signal(signal.SIGINT, lambda number, frame: budget.stop())
 
     def say_state(step: Step) -> None:
         best = ", ".join(step.best) or "no effect yet"
@@ -312,25 +317,6 @@ def _seconds(text: str) -> float:
             f"got {text!r}, expected a time in s, 0 to {_SECONDS:g} (0: as long as it takes)"
         )
     return seconds
-
-
-@contextlib.contextmanager
-def _stopped_by_interrupt(sandbox: Sandbox, progress: Progress) -> Iterator[None]:
-    """Let the first Ctrl-C end the search early and the second one abort."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        signal.signal(signal.SIGINT, before)
-        sandbox.interrupt()
-        progress.tell("line", "stopping: the best result so far is written; Ctrl-C again aborts")
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 __all__ = ["HELP", "add_arguments", "diagnose_files", "run"]

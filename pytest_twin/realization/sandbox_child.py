@@ -15,14 +15,20 @@ import traceback
 from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO
 
-from pytest_twin.errors import LimitError, SimulationError, TwinError
+from pytest_twin import interrupts
+from pytest_twin.errors import (
+    DISK_ERRORS,
+    LimitError,
+    SimulationError,
+    TwinError,
+    cannot_write,
+)
 
 
 def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
     """Answer calls until the parent closes the pipe."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    # The parent handles interruptions; a function that can be stopped sets its own handler.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    interrupts.defer_in_child()
     _bound_memory(memory_bytes)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     os.set_inheritable(request_descriptor, False)
@@ -63,6 +69,8 @@ def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
     except MemoryError:
         return {"error": _error_to_json(_out_of_memory())}
     except (Exception, SystemExit) as error:
+        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+            return {"error": _error_to_json(cannot_write(error))}
         if "could not allocate memory" in str(error).lower():
             # MuJoCo reports a lack of memory with this text.
             return {"error": _error_to_json(_out_of_memory())}

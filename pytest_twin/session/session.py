@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Generator
@@ -22,6 +23,7 @@ from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update
 from pytest_twin.gate.verdict import SessionFacts
 from pytest_twin.golden import Golden
+from pytest_twin.interrupts import sigterm_as_interrupt
 from pytest_twin.outcome import Outcome, Reason
 from pytest_twin.report.failure import failure_text, what
 from pytest_twin.report.text import quantity
@@ -66,6 +68,9 @@ class TwinSession:
         self.worker_input: dict[str, Any] = json.loads(
             getattr(config, "workerinput", {}).get("twin", "{}")
         )
+        # Schedulers and CI send SIGTERM; pytest itself would end without a report.
+        self.interrupts = contextlib.ExitStack()
+        self.interrupts.enter_context(sigterm_as_interrupt())
         for name, text in _MARKERS.items():
             config.addinivalue_line("markers", f"{name}: {text}")
         for kind in kinds():
@@ -388,8 +393,9 @@ class TwinSession:
                 write(line)
 
     def pytest_unconfigure(self) -> None:
-        """End the child processes."""
+        """End the child processes, and restore the handler of SIGTERM."""
         self.runner.close()
+        self.interrupts.close()
 
 
 def _is_advisory(report: pytest.CollectReport | pytest.TestReport) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -26,14 +27,22 @@ def read_diagnosis(folder: Path) -> dict[str, Any]:
     return loaded
 
 
-def test_ctrl_c_ends_the_search_and_writes_the_best_result_so_far(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_the_search_and_writes_the_best_result_so_far(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     words = case(tmp_path, joints=LEFT, viscous=0.1)
     command = [PROGRAM, "diagnose", *words, "--seconds", "1000", "--out", str(tmp_path / "out")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         first = process.stderr.readline()
         assert first.startswith("first answer, from one recording: ")
-        process.send_signal(signal.SIGINT)
+        if number == signal.SIGTERM:
+            # A scheduler signals every process of a job.
+            children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+            for child in children.read_text().split() if children.exists() else ():
+                os.kill(int(child), number)
+        process.send_signal(number)
         rest = process.stderr.read()
     assert "stopping: the best result so far is written; Ctrl-C again aborts" in rest
     assert process.returncode in (0, 1)
