@@ -29,6 +29,8 @@ from pytest_twin.record_spec import Unaffected, unaffected_of
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 
 FILE_NAME = "twin.yaml"
+PENDING_ROLLBACK = ".twin/rollback"
+"""Folder of a rollback whose files are not yet all in place."""
 EFFECTS_FILE = "effects.json"
 """File next to a model that a diagnosis wrote: effects that MJCF cannot express."""
 # Model files in the folder of a diagnosis; the first that exists is used.
@@ -538,6 +540,12 @@ def load_twin(path: Path) -> Twin:
             ``roots``.
     """
     path = path.absolute()
+    if (path.parent / PENDING_ROLLBACK).is_dir():
+        raise SpecError(
+            "a rollback was interrupted, and the files are partly those of a release",
+            path=path.parent,
+            expected="pytest-twin rollback, which completes it",
+        )
     document = yaml.load(path)
     validate(document, schema(), path)
     return _Reader(path, document.data, document.lines).twin()

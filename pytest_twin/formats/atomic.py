@@ -24,7 +24,7 @@ def open_replacement(path: Path) -> Iterator[BinaryIO]:
     Raises:
         PathError: ``path`` is a link, a folder or a device, or its folder cannot be written.
     """
-    mode = _mode_for(path)
+    mode = mode_for(path)
     try:
         with temporary_file(path.parent) as (temporary, descriptor):
             with os.fdopen(os.dup(descriptor), "w+b") as stream:
@@ -105,7 +105,12 @@ def create_directory(staging: Path, final: Path) -> bool:
     return True
 
 
-def _mode_for(path: Path) -> int:
+def mode_for(path: Path) -> int:
+    """Mode of a new file that replaces ``path``: that of the present file, else by the umask.
+
+    Raises:
+        PathError: ``path`` is a link, a folder or a device, or cannot be reached.
+    """
     try:
         found = path.lstat()
     except FileNotFoundError:

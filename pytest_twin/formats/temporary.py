@@ -69,12 +69,11 @@ def temporary_file(parent: Path) -> Iterator[tuple[Path, int]]:
             path.unlink(missing_ok=True)
 
 
-def sweep(parent: Path, keep: str | None = None) -> None:
+def sweep(parent: Path) -> None:
     """Remove the temporary files and folders of ended processes in a folder, once per process.
 
     Args:
         parent: the folder; errors are ignored.
-        keep: name of a folder that stays.
     """
     done = (os.getpid(), parent)
     if done in _swept:
@@ -82,21 +81,20 @@ def sweep(parent: Path, keep: str | None = None) -> None:
     _swept.add(done)
     with contextlib.suppress(OSError), os.scandir(parent) as entries:
         for entry in entries:
-            if entry.name.startswith(PREFIX) and entry.name != keep:
+            if entry.name.startswith(PREFIX):
                 _remove_without_owner(Path(entry.path))
 
 
-def lock_folder(folder: Path) -> int | None:
-    """Lock a folder; the descriptor that holds the lock, or None if another process holds it.
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[bool]:
+    """Context that locks a folder; whether no other process holds its lock.
 
     Raises:
         OSError: the folder cannot be opened.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    if _try_lock(descriptor) is False:
-        os.close(descriptor)
-        return None
-    return descriptor
+    with _closing(descriptor):
+        yield _try_lock(descriptor) is not False
 
 
 def remove(path: Path) -> None:
