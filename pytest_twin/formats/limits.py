@@ -119,12 +119,18 @@ class TossLimits:
 
 @dataclass(frozen=True, slots=True)
 class StampLimits:
-    """Bounds on stamped files, and on the stamp, which mostly consists of a signed release."""
+    """Bounds on stamped files, and on the stamp, which mostly consists of a signed release.
+
+    Deflate compresses by 1,032 at most, so an HDF5 file of n bytes has at most ``hdf5_expansion`` n
+    bytes of values, beside ``hdf5_least_bytes`` for fill values that are not stored.
+    """
 
     stamp_bytes: int = 64 * 2**20
     files_count: int = 10_000
     onnx_bytes: int = 2 * 2**30
     hdf5_bytes: int = 64 * 2**30
+    hdf5_expansion: int = 1_100
+    hdf5_least_bytes: int = 2**20
 
 
 @dataclass(frozen=True, slots=True)

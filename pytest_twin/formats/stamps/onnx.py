@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from pytest_twin.formats.stamps.base import NAME
 class OnnxStamp:
     """A policy or a residual model in ONNX format.
 
-    The digest covers the model without this property, and the files of its external tensors.
+    The digest covers the model without this property, and every file that it refers to.
     """
 
     path: Path
@@ -42,7 +43,7 @@ class OnnxStamp:
         _drop(model)
         hashed = hashlib.sha256(model.SerializeToString(deterministic=True))
         roots = Roots(self.path.parent)
-        for location in sorted(_external(model)):
+        for location in sorted(set(_files(model))):
             file = roots.resolve(location, at=self.path, where="external data")
             hashed.update(f"{file_sha256(file)} {location}\n".encode())
         return hashed.hexdigest()
@@ -83,11 +84,22 @@ def _drop(model: Any) -> None:
         entry.key, entry.value = key, value
 
 
-def _external(model: Any) -> set[str]:
-    """Return the files of external tensors, relative to the model."""
-    return {
-        entry.value
-        for tensor in model.graph.initializer
-        for entry in tensor.external_data
-        if entry.key == "location"
-    }
+def _files(message: Any) -> Iterator[str]:
+    """Yield the files, relative to the model, that a message and all messages in it refer to.
+
+    Tensors occur in graphs, in attributes of nodes, in graphs within nodes, in functions and in
+    training steps. A node that contains a compiled model of ONNX Runtime names its file.
+    """
+    kind = message.DESCRIPTOR.full_name
+    if kind == "onnx.TensorProto":
+        yield from (entry.value for entry in message.external_data if entry.key == "location")
+        return
+    if kind == "onnx.NodeProto" and message.op_type == "EPContext":
+        attributes = {attribute.name: attribute for attribute in message.attribute}
+        embedded = attributes["embed_mode"].i if "embed_mode" in attributes else 1
+        if not embedded and "ep_cache_context" in attributes:
+            yield attributes["ep_cache_context"].s.decode("utf-8", "replace")
+    for field, value in message.ListFields():
+        if field.message_type is not None:
+            for part in [value] if hasattr(value, "DESCRIPTOR") else value:
+                yield from _files(part)
