@@ -67,7 +67,9 @@ def check(
     """
     release = Path(os.path.abspath(release))  # noqa: PTH100 (takes '..' out, follows no link)
     root = release.parent.parent
-    trusted = trusted_keys.load_trusted(keys if keys is not None else root / trusted_keys.FOLDER)
+    # A folder named on the command line may be a link, one of the twin may not.
+    given = keys.resolve() if keys is not None else root / trusted_keys.FOLDER
+    trusted = trusted_keys.load_trusted(given)
     return _check(release, root, trusted, now or datetime.now(UTC), remember)
 
 
@@ -115,7 +117,12 @@ def _check(
         release = authenticate(data, trusted)
     except ReleaseError as error:
         return Verdict(None, (Problem("envelope" if trusted else "keys", str(error)),))
-    circumstances = _circumstances(path, root, trusted, release, remember)
+    try:
+        twin = _stated_name(root) if path.parent.name == folders.RELEASES else None
+    except TwinError as error:
+        unnamed = f"its twin cannot be read, so that the twin's name is not checked: {error}"
+        return Verdict(release, (Problem("twin", unnamed),))
+    circumstances = _circumstances(path, twin, trusted, release, remember)
     verdict = judge(release, listing, now=now, circumstances=circumstances)
     if remember and verdict.holds:
         accepted_releases.remember(release.header.series, release.number)
@@ -123,7 +130,7 @@ def _check(
 
 
 def _circumstances(
-    path: Path, root: Path, trusted: Sequence[Key], release: Release, remember: bool
+    path: Path, twin: str | None, trusted: Sequence[Key], release: Release, remember: bool
 ) -> Circumstances:
     number = folders.number_of(path)
     neighbours = [] if number is None else folders.numbered_releases(path.parent)
@@ -131,7 +138,7 @@ def _circumstances(
     older = [entry for entry in neighbours if number is not None and entry[0] < number]
     return Circumstances(
         folder_number=number,
-        twin=_stated_name(root) if path.parent.name == folders.RELEASES else None,
+        twin=twin,
         newer=_first_authentic(newer, trusted),
         before=None if _follows(release, older) else _first_authentic(older, trusted),
         seen=accepted_releases.highest(release.header.series) if remember else None,
@@ -167,10 +174,12 @@ def _stated_name(root: Path) -> str | None:
 
     Without a stated name, the twin has the name of its folder, which may differ between copies, so
     that the name in a release is not checked.
+
+    Raises:
+        TwinError: ``twin.yaml`` cannot be read.
     """
-    try:
-        data = yaml.load(root / FILE_NAME).data
-    except TwinError:
+    if not os.path.lexists(root / FILE_NAME):
         return None
+    data = yaml.load(root / FILE_NAME).data
     name = data.get("name") if isinstance(data, dict) else None
     return name if isinstance(name, str) else None

@@ -30,8 +30,9 @@ def numbered_releases(releases: Path) -> list[tuple[int, Path]]:
     """(number, folder) of all releases in ``releases``, the highest number first.
 
     Raises:
-        PathError: ``releases`` cannot be read.
+        PathError: ``releases`` is a link or cannot be read.
     """
+    refuse_link(releases)
     try:
         entries = list(releases.iterdir())
     except FileNotFoundError:
@@ -40,6 +41,16 @@ def numbered_releases(releases: Path) -> list[tuple[int, Path]]:
         raise PathError(f"cannot be read: {error.strerror}", path=releases) from None
     found = [(number, path) for path in entries if (number := number_of(path)) is not None]
     return sorted(found, reverse=True)
+
+
+def refuse_link(folder: Path) -> None:
+    """Raise an error if a folder of the twin is a link: who owns its target decides what it holds.
+
+    Raises:
+        PathError: a link.
+    """
+    if folder.is_symlink():
+        raise PathError("a link", path=folder, expected="the folder itself, inside the twin")
 
 
 def read_envelope(folder: Path, limits: ReleaseLimits = LIMITS) -> bytes | None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import platformdirs
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
     PublicFormat,
@@ -24,10 +25,13 @@ from pytest_twin.errors import PathError, ReleaseError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.release.envelope import short_key_id
+from pytest_twin.release.folder import refuse_link
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
 
 FOLDER = "keys"
 VARIABLE = "TWIN_SIGNING_KEY"
+_FIELD = 2**255 - 19
+"""Order of the field of Curve25519 and Edwards25519."""
 
 
 def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
@@ -35,8 +39,9 @@ def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
 
     Raises:
         ReleaseError: a file that is not such a key, or too many files.
-        PathError: a file that is a link or cannot be read.
+        PathError: the folder or a file is a link or cannot be read.
     """
+    refuse_link(folder)
     try:
         paths = sorted(path for path in folder.iterdir() if path.suffix == ".pub")
     except FileNotFoundError:
@@ -62,9 +67,32 @@ def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
                 path=path,
                 expected="an Ed25519 public key in PEM",
             )
+        if _has_low_order(public):
+            raise ReleaseError(
+                "a public key of low order, with which anybody can sign",
+                path=path,
+                expected="the public key of a key that was drawn at random; delete this file",
+            )
         key = SSlibKey.from_crypto(public)
         found[key.keyid] = key
     return list(found.values())
+
+
+def _has_low_order(key: Ed25519PublicKey) -> bool:
+    """Whether eight times the key's point is zero, so that a signature verifies any statement.
+
+    The point's image on Curve25519 is u = (1 + y) / (1 - y) (RFC 7748, section 4.1). There the
+    library refuses points of low order, because scalars are multiples of eight.
+    """
+    y = int.from_bytes(key.public_bytes_raw(), "little") % 2**255 % _FIELD
+    u = (1 + y) * pow(1 - y, -1, _FIELD) % _FIELD if y != 1 else 0
+    try:
+        X25519PrivateKey.generate().exchange(
+            X25519PublicKey.from_public_bytes(u.to_bytes(32, "little"))
+        )
+    except ValueError:
+        return True
+    return False
 
 
 def signer(

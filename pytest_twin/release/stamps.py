@@ -206,7 +206,7 @@ def keys_of(dataset: Path, found: list[StampedFile], folder: Path | None) -> lis
         ReleaseError: no twin with keys was found.
     """
     if folder is not None:
-        return trusted_keys.load_trusted(folder)
+        return trusted_keys.load_trusted(folder.resolve())
     if not any(one.stamp for one in found):
         return []
     root = twin_that_stamped(dataset, found)

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from release_twins import NOW, MakeRelease, html, make_draft, make_twin
@@ -23,7 +25,7 @@ from securesystemslib.dsse import Envelope
 from securesystemslib.signer import CryptoSigner, Key
 
 from pytest_twin import release
-from pytest_twin.errors import ReleaseError
+from pytest_twin.errors import PathError, ReleaseError
 from pytest_twin.release import canonical_json, file_names, folder, keys, statement
 from pytest_twin.release.envelope import PAYLOAD_TYPE, open_envelope, seal
 from pytest_twin.release.limits import ReleaseLimits
@@ -393,6 +395,61 @@ def assert_envelope_refused(data: bytes, trusted: list[Key], words: str) -> None
 
 
 A, B = CryptoSigner.generate_ed25519(), CryptoSigner.generate_ed25519()
+
+
+# Encodings of the points whose order divides eight, RFC 8032; anybody can sign for them.
+LOW_ORDER = [
+    bytes(32),
+    b"\x01" + bytes(31),
+    b"\xec" + b"\xff" * 30 + b"\x7f",
+    b"\xed" + b"\xff" * 30 + b"\x7f",
+    b"\xee" + b"\xff" * 30 + b"\x7f",
+    bytes.fromhex("26e8958fc2b227b045c3f489f2ef98f0d5dfac05d3c63339b13802886d53fc05"),
+    bytes.fromhex("c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac037a"),
+]
+
+
+@pytest.mark.parametrize("sign", [0, 0x80], ids=["", "negative"])
+@pytest.mark.parametrize("raw", LOW_ORDER, ids=[raw[:4].hex() for raw in LOW_ORDER])
+def test_a_public_key_of_low_order_is_an_error(
+    root: Path, first: Path, raw: bytes, sign: int
+) -> None:
+    raw = raw[:31] + bytes([raw[31] | sign])
+    pem = Ed25519PublicKey.from_public_bytes(raw).public_bytes(
+        Encoding.PEM, PublicFormat.SubjectPublicKeyInfo
+    )
+    (root / "keys" / "weak.pub").write_bytes(pem)
+    with pytest.raises(ReleaseError, match="public key of low order, with which anybody can sign"):
+        problems(first)
+
+
+@pytest.mark.parametrize("name", ["keys", "releases"])
+def test_a_symbolic_link_instead_of_a_folder_of_the_twin_is_refused(
+    root: Path, first: Path, tmp_path: Path, name: str
+) -> None:
+    (root / name).rename(tmp_path / "moved")
+    (root / name).symlink_to(tmp_path / "moved")
+    try:
+        ((_, words),) = problems(first)
+    except PathError as error:
+        words = str(error)
+    assert f"{root / name}: a link (expected the folder itself, inside the twin)" in words
+
+
+def test_a_link_to_keys_on_the_command_line_is_followed(
+    root: Path, first: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "link").symlink_to(root / "keys")
+    assert problems(first, keys=tmp_path / "link") == []
+
+
+def test_a_twin_that_cannot_be_read_does_not_skip_the_check_of_its_name(
+    root: Path, first: Path
+) -> None:
+    (root / "twin.yaml").write_text("name: [")
+    ((code, text),) = problems(first)
+    assert code == "twin"
+    assert "so that the twin's name is not checked" in text
 
 
 def test_an_envelope_without_signature_is_refused() -> None:
