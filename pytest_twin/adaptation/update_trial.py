@@ -87,8 +87,9 @@ def try_update(
     allowed = policy.safety.get("position_max", 0.0)
     resting = _at_bounds(spec, windows)
     notes += [
-        f"{one['parameter']} rests on its bound of {one['bound']:g} "
-        f"({100 * one['share']:.0f} % of the updates): the recordings ask for a value beyond it, or for an effect that the update lacks"
+        f"{one['parameter']} stays at its bound of {one['bound']:g} "
+        f"({100 * one['share']:.0f} % of the updates): the recordings ask for a value beyond it, "
+        "or for an effect that the update lacks"
         for one in resting
     ]
     return {

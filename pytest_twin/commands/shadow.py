@@ -162,7 +162,7 @@ def _words(document: dict[str, Any]) -> list[str]:
                 f"+- {update['deviation'][at]:.2g}" + f" {unit}" * (unit != "1")
             )
         lines += [
-            f"  NOT MET: {one['parameter']} rests on its bound of {one['bound']:g}"
+            f"  NOT MET: {one['parameter']} stays at its bound of {one['bound']:g}"
             for one in update["at_bounds"]
         ]
     return [*lines, *(f"  note: {note}" for note in document["notes"])]

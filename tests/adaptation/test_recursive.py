@@ -77,7 +77,7 @@ def test_an_estimate_that_rests_on_a_bound_is_named(setting, bounds: tuple, rest
     found = try_update(spec, realization, trials[:1], ShadowPolicy(metrics={"position_rms": 0.05}))
     assert [one["bound"] for one in found["update"]["at_bounds"]] == resting
     assert all(one["met"] for one in found["metrics"])
-    named = [note for note in found["notes"] if "a.viscous_friction rests on its bound" in note]
+    named = [note for note in found["notes"] if "a.viscous_friction stays at its bound" in note]
     assert len(named) == len(resting)
 
 

@@ -241,7 +241,7 @@ def test_an_update_that_rests_on_its_bound_is_not_promoted(
     twin, data = str(place / "twin"), str(place / "0.mcap")
     assert cli.main(["shadow", str(place / "twin/releases/0001"), twin, data, "--promote"]) == 1
     output = capsys.readouterr().out
-    assert "NOT MET: a.viscous_friction rests on its bound of 0.06" in output
+    assert "NOT MET: a.viscous_friction stays at its bound of 0.06" in output
     assert "promoted" not in output
 
 
