@@ -51,10 +51,12 @@ class Bundle:
         intrinsics: (16,) in the order of ``NAMES``.
         free: names of the intrinsics that were estimated.
         camera_from_target: (n, 4, 4) pose of the target in each image, m.
-        board: (corners, 3) positions of the corners in the target's frame, m.
+        board: (corners, 3) positions of the corners in the target's frame, in the unit of the
+            drawing, m.
+        scale: printed size of the board divided by that of the drawing; 1 if it was assumed exact.
         covariance: covariance of the 12 coordinates of hand-eye and robot-world (each x, y, z, then
             the rotation vector, in the axes of the parent; absent without a robot), of the arm's
-            own parameters, then of the free intrinsics.
+            own parameters, of the scale (absent if exact), then of the free intrinsics.
         degrees: degrees of freedom of the noise estimate.
         noise: standard deviations of corners, robot and board.
         residuals: (m, 2) predicted minus detected corners, px.
@@ -70,6 +72,7 @@ class Bundle:
     free: tuple[str, ...]
     camera_from_target: FloatArray
     board: FloatArray
+    scale: float
     covariance: FloatArray
     degrees: float
     noise: Noise
@@ -107,6 +110,7 @@ def bundle(
     *,
     noise: KnownNoise | None = None,
     arm: Arm | None = None,
+    size_tolerance: float = 0.0,
 ) -> Bundle:
     """Return the least-squares estimate from images and, with a robot, from its flange poses.
 
@@ -118,6 +122,8 @@ def bundle(
         free: intrinsics that are estimated.
         noise: known standard deviations; by default they are estimated.
         arm: robot arm whose joint zeros or link deviations are estimated too.
+        size_tolerance: standard deviation of the board's printed size, relative to its drawing;
+            with a robot and a tolerance above 0, the size is estimated too.
 
     Raises:
         numpy.linalg.LinAlgError: the images and poses do not determine the unknowns.
@@ -131,6 +137,7 @@ def bundle(
         np.array([NAMES.index(name) for name in free], dtype=int),
         None if exact_board else start.board,
         arm,
+        size_tolerance,
     )
     if arm is not None:
         start = replace(start, arm=np.zeros(arm.count))
@@ -145,14 +152,15 @@ def bundle(
         if change < _ROUND_SETTLED:
             break
     equations = linearize(model, unknowns, sizes)
-    kept = np.r_[model.transforms, model.own, model.intrinsics]
-    covariance = np.linalg.inv(equations.schur)[np.ix_(kept, kept)]
+    kept = np.r_[model.transforms, model.own, model.scale, model.intrinsics]
+    covariance = equations.solver.covariance.shared[np.ix_(kept, kept)]
     return Bundle(
         HandEye(unknowns.hand_eye, unknowns.robot_world),
         unknowns.intrinsics,
         tuple(free),
         unknowns.camera_from_target,
         unknowns.board,
+        unknowns.scale,
         covariance,
         _degrees(model),
         sizes,
@@ -178,7 +186,7 @@ def _minimize(model: Model, unknowns: Unknowns, noise: Noise) -> Unknowns:
     equations: Equations = linearize(model, unknowns, noise)
     damping = 1e-6
     for _ in range(_STEPS):
-        tried = apply_step(model, unknowns, *equations.step(damping))
+        tried = apply_step(model, unknowns, equations.solver.step(equations.right, damping))
         new = linearize(model, tried, noise)
         if not np.isfinite(new.cost) or new.cost > equations.cost:
             damping *= 10.0

@@ -8,11 +8,13 @@ components, Foerstner 1979).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.arm import Arm
+from pytest_twin.calibration.cameras.elimination import BlockMatrix, Elimination, Step
 from pytest_twin.calibration.cameras.increments import (
     apply_change,
     by_measured,
@@ -64,8 +66,10 @@ class Unknowns:
         hand_eye, robot_world: (4, 4), see ``HandEye``, m.
         intrinsics: (16,) in the order of ``NAMES``.
         camera_from_target: (n, 4, 4), m.
-        board: (corners, 3) positions of the corners in the target's frame, m.
+        board: (corners, 3) positions of the corners in the target's frame, in the unit of the
+            drawing, m.
         arm: (k,) steps of joint zeros and link deviations from the arm's state, rad and m.
+        scale: printed size of the board divided by that of the drawing.
     """
 
     hand_eye: FloatArray
@@ -74,6 +78,7 @@ class Unknowns:
     camera_from_target: FloatArray
     board: FloatArray
     arm: FloatArray = field(default_factory=lambda: np.zeros(0))
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -81,8 +86,8 @@ class Model:
     """Measurements and free parameters of a bundle adjustment.
 
     The globals are the unknowns that all images share. Their order is: free intrinsics, hand-eye
-    and robot-world (with a robot), the arm's own parameters, the board's coordinates (if the board
-    is free).
+    and robot-world (with a robot), the arm's own parameters, the scale of the board (if it is
+    free).
 
     Attributes:
         base_from_flange: (n, 4, 4) m, or None.
@@ -91,6 +96,8 @@ class Model:
         free: indices of the free intrinsics.
         drawing: (corners, 3) corners of the board's drawing, m; None if the board is exact.
         arm: robot arm whose joint zeros or links are free; None if ``base_from_flange`` is given.
+        size_tolerance: standard deviation of the board's printed size, relative to its drawing:
+            0 for an exact size, infinite for an unknown one.
     """
 
     base_from_flange: FloatArray | None
@@ -99,6 +106,7 @@ class Model:
     free: np.ndarray
     drawing: FloatArray | None
     arm: Arm | None = None
+    size_tolerance: float = 0.0
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -117,15 +125,27 @@ class Model:
         return before + np.arange(0 if self.arm is None else self.arm.count)
 
     @property
-    def board(self) -> np.ndarray:
-        """Indices of the board's coordinates among the globals."""
+    def scale(self) -> np.ndarray:
+        """Index of the board's scale among the globals; empty without a robot or if it is exact."""
         before = len(self.free) + len(self.transforms) + len(self.own)
-        return before + np.arange(0 if self.drawing is None else self.drawing.size)
+        is_free = self.base_from_flange is not None and self.size_tolerance > 0.0
+        return before + np.arange(int(is_free))
 
     @property
     def count(self) -> int:
         """Number of globals."""
-        return len(self.free) + len(self.transforms) + len(self.own) + len(self.board)
+        return len(self.free) + len(self.transforms) + len(self.own) + len(self.scale)
+
+    def prior(self, unknowns: Unknowns) -> tuple[FloatArray, FloatArray]:
+        """(count,) inverse variances of the priors of the globals, and deviations from them."""
+        precision, values = np.zeros(self.count), np.zeros(self.count)
+        if self.arm is not None:
+            precision[self.own] = self.arm.precision
+            values[self.own] = self.arm.values(unknowns.arm)
+        if len(self.scale):
+            precision[self.scale] = self.size_tolerance**-2
+            values[self.scale] = unknowns.scale - 1.0
+        return precision, values
 
     def robot(self, unknowns: Unknowns) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(k, 6) residuals of the robot's poses, and Jacobians by globals and by target poses."""
@@ -151,19 +171,17 @@ class Model:
 
 @dataclass(frozen=True)
 class Equations:
-    """Normal equations at given unknowns, with the target poses eliminated (Schur complement).
+    """Normal equations at given unknowns.
 
     Attributes:
         cost: robust sum of squares.
         pixels, robot, deviation: residuals of corners (m, 2), px, of robot poses (k, 6), m and rad,
             and of the board (corners, 3), m.
         pixel_weights, robot_weights: (m,) and (k,) weights of Huber's function.
-        pixel_slopes: (m, 2, 6) Jacobian by the target's pose and (m, 2, count) by the globals,
-            divided by the noise.
-        robot_slopes: the same of the robot residuals, (k, 6, 6) and (k, 6, count).
-        schur, right: (count, count) matrix and (count,) right side for the globals.
-        coupling, pose_block, pose_right: (n, count, 6), (n, 6, 6) and (n, 6) blocks of the target
-            poses, from which their step follows.
+        robot_slopes: Jacobians of the robot residuals, (k, 6, 6) by the target's pose and
+            (k, 6, count) by the globals, divided by the noise.
+        matrix: the normal matrix.
+        right: gradient of half the cost.
     """
 
     cost: float
@@ -172,135 +190,142 @@ class Equations:
     deviation: FloatArray
     pixel_weights: FloatArray
     robot_weights: FloatArray
-    pixel_slopes: tuple[FloatArray, FloatArray]
     robot_slopes: tuple[FloatArray, FloatArray]
-    schur: FloatArray
-    right: FloatArray
-    coupling: FloatArray
-    pose_block: FloatArray
-    pose_right: FloatArray
+    matrix: BlockMatrix
+    right: Step
 
-    def step(self, damping: float) -> tuple[FloatArray, FloatArray]:
-        """(count,) step of the globals and (n, 6) steps of the target's poses.
-
-        Only the globals are damped, because the corners of an image determine the pose of its
-        target.
-        """
-        schur = self.schur + damping * np.diag(np.diag(self.schur))
-        move = -np.linalg.solve(schur, self.right)
-        inner = self.pose_right + np.einsum("ngi,g->ni", self.coupling, move)
-        poses = -np.linalg.solve(self.pose_block, inner[..., None])[..., 0]
-        return np.asarray(move, dtype=np.float64), np.asarray(poses, dtype=np.float64)
+    @cached_property
+    def solver(self) -> Elimination:
+        """The matrix with target poses or corners eliminated."""
+        return Elimination(self.matrix)
 
 
 def linearize(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
     """Return the weighted normal equations at given values of the unknowns."""
-    corners = replace(model.corners, points=unknowns.board[model.corners.ids])
+    corners = replace(model.corners, points=unknowns.scale * unknowns.board[model.corners.ids])
     pixels, by_pose, by_intrinsics = reprojection_residuals(
         unknowns.intrinsics, unknowns.camera_from_target, corners
     )
     robot, by_transforms, robot_by_pose = model.robot(unknowns)
     by_globals = np.zeros((len(pixels), 2, model.count))
     by_globals[:, :, model.intrinsics] = by_intrinsics[:, :, model.free]
+    by_corner = np.zeros((len(pixels), 2, 0))
     deviation = np.zeros_like(unknowns.board)
-    if model.drawing is not None:
-        deviation = unknowns.board - model.drawing
+    if model.drawing is not None or len(model.scale):
         turns = unknowns.camera_from_target[corners.image][:, :3, :3]
-        columns = model.board.reshape(-1, 3)[corners.ids]
-        rows = np.arange(len(pixels))
-        by_globals[rows[:, None], :, columns] = np.swapaxes(by_pose[:, :, :3] @ turns, 1, 2)
+        by_place = by_pose[:, :, :3] @ turns
+        if len(model.scale):
+            places = unknowns.board[corners.ids]
+            by_globals[:, :, model.scale] = by_place @ places[:, :, None]
+        if model.drawing is not None:
+            deviation = unknowns.board - model.drawing
+            by_corner = unknowns.scale * by_place
     robot_by_globals = np.zeros((len(robot), 6, model.count))
     robot_by_globals[:, :, np.r_[model.transforms, model.own]] = by_transforms
-    prior = np.zeros(0) if model.arm is None else model.arm.precision
-    values = np.zeros(0) if model.arm is None else model.arm.values(unknowns.arm)
+    precision, values = model.prior(unknowns)
 
     # The two coordinates of a corner, or the six of a pose, get one common weight.
     scale = np.repeat([1.0 / noise.position, 1.0 / noise.orientation], 3)
     pixel_cost, pixel_weight = _huber(np.mean((pixels / noise.pixel) ** 2, axis=1))
     robot_cost, robot_weight = _huber(np.mean((robot * scale) ** 2, axis=1))
     cost = 2.0 * pixel_cost.sum() + 6.0 * robot_cost.sum()
-    cost += np.sum((deviation / noise.board) ** 2) + np.sum(prior * values**2)
+    cost += np.sum((deviation / noise.board) ** 2) + np.sum(precision * values**2)
 
     white = (np.sqrt(pixel_weight) / noise.pixel)[:, None, None]
     robot_white = np.sqrt(robot_weight)[:, None, None] * scale[None, :, None]
-    ap, ag, ep = white * by_pose, white * by_globals, white[..., 0] * pixels
+    ap, ag, ac = white * by_pose, white * by_globals, white * by_corner
+    ep = white[..., 0] * pixels
     rp, rg = robot_white * robot_by_pose, robot_white * robot_by_globals
     er = robot_white[..., 0] * robot
 
-    starts = model.corners.starts
+    images, starts, ids = model.corners.images, model.corners.starts, model.corners.ids
     back = np.swapaxes(ap, 1, 2)
-    block = np.add.reduceat(back @ ap, starts)
+    pose_block = np.add.reduceat(back @ ap, starts)
     pose_right = np.add.reduceat((back @ ep[..., None])[..., 0], starts)
     coupling = np.add.reduceat(np.swapaxes(ag, 1, 2) @ ap, starts)
-    full = _normal_matrix(ag) + _normal_matrix(rg)
-    right = np.einsum("mcg,mc->g", ag, ep) + np.einsum("mcg,mc->g", rg, er)
+    shared = _normal_matrix(ag) + _normal_matrix(rg) + np.diag(precision)
+    right = np.einsum("mcg,mc->g", ag, ep) + np.einsum("mcg,mc->g", rg, er) + precision * values
     if len(robot):
-        block += np.swapaxes(rp, 1, 2) @ rp
+        pose_block += np.swapaxes(rp, 1, 2) @ rp
         pose_right += (np.swapaxes(rp, 1, 2) @ er[..., None])[..., 0]
         coupling += np.swapaxes(rg, 1, 2) @ rp
-    full[model.own, model.own] += prior
-    right[model.own] += prior * values
-    if model.drawing is not None:
-        full[model.board, model.board] += 1.0 / noise.board**2
-        right[model.board] += deviation.ravel() / noise.board**2
 
-    solved = np.linalg.solve(block, np.swapaxes(coupling, 1, 2))
-    schur = full - np.tensordot(coupling, solved, ([0, 2], [0, 1]))
-    right = right - np.tensordot(solved, pose_right, ([0, 1], [0, 1]))
+    free_corners = 0 if model.drawing is None else len(model.drawing)
+    corner_block = np.zeros((free_corners, 3, 3))
+    corner_right = np.zeros((free_corners, 3))
+    shared_corners = np.zeros((free_corners, 3, model.count))
+    poses_corners = np.zeros((images, 6, free_corners, 3))
+    if free_corners:
+        corner_back = np.swapaxes(ac, 1, 2)
+        np.add.at(corner_block, ids, corner_back @ ac)
+        np.add.at(corner_right, ids, (corner_back @ ep[..., None])[..., 0])
+        np.add.at(shared_corners, ids, corner_back @ ag)
+        # An image shows each corner once.
+        poses_corners[model.corners.image, :, ids, :] = back @ ac
+        corner_block += np.eye(3) / noise.board**2
+        corner_right += deviation / noise.board**2
+    matrix = BlockMatrix(
+        shared,
+        pose_block,
+        corner_block,
+        coupling.transpose(1, 0, 2).reshape(model.count, -1),
+        shared_corners.reshape(-1, model.count).T,
+        poses_corners.reshape(6 * images, 3 * free_corners),
+    )
     return Equations(
-        float(cost), pixels, robot, deviation, pixel_weight, robot_weight, (ap, ag), (rp, rg),
-        schur, right, coupling, block, pose_right,
+        float(cost), pixels, robot, deviation, pixel_weight, robot_weight, (rp, rg),
+        matrix, Step(right, pose_right, corner_right),
     )  # fmt: skip
 
 
-def apply_step(model: Model, at: Unknowns, move: FloatArray, poses: FloatArray) -> Unknowns:
-    """Return the unknowns after a step of the globals and of the target's poses."""
+def apply_step(model: Model, at: Unknowns, step: Step) -> Unknowns:
+    """Return the unknowns after a step."""
+    move = step.shared
     intrinsics = at.intrinsics.copy()
     intrinsics[model.free] += move[model.intrinsics]
-    found = replace(
-        at, intrinsics=intrinsics, camera_from_target=apply_change(at.camera_from_target, poses)
+    moved = replace(
+        at,
+        intrinsics=intrinsics,
+        camera_from_target=apply_change(at.camera_from_target, step.poses),
+        board=at.board if model.drawing is None else at.board + step.corners,
+        scale=at.scale + float(move[model.scale].sum()),
+        arm=at.arm + move[model.own] if len(model.own) else at.arm,
     )
-    if len(model.transforms):
-        turns = move[model.transforms]
-        found = replace(
-            found,
-            hand_eye=apply_change(at.hand_eye, turns[:6]),
-            robot_world=apply_change(at.robot_world, turns[6:]),
-        )
-    if len(model.own):
-        found = replace(found, arm=at.arm + move[model.own])
-    if len(model.board):
-        found = replace(found, board=at.board + move[model.board].reshape(-1, 3))
-    return found
+    if not len(model.transforms):
+        return moved
+    turns = move[model.transforms]
+    return replace(
+        moved,
+        hand_eye=apply_change(at.hand_eye, turns[:6]),
+        robot_world=apply_change(at.robot_world, turns[6:]),
+    )
 
 
 def noise_of(model: Model, unknowns: Unknowns, noise: Noise) -> Noise:
-    """Estimate the noise of each kind of residual from its squares and its redundancy."""
-    equations = linearize(model, unknowns, noise)
-    covariance = np.linalg.inv(equations.schur)
-    inner = np.linalg.inv(equations.pose_block)
-    # Covariance between the globals and each pose, and of each pose.
-    gain = equations.coupling @ inner
-    cross = -covariance @ gain
-    poses = inner - np.swapaxes(gain, 1, 2) @ cross
+    """Estimate the noise of each kind of residual from its squares and its redundancy.
 
-    def used(by_pose: FloatArray, by_globals: FloatArray, image: np.ndarray) -> FloatArray:
-        """(rows, coordinates) leverage of each whitened residual."""
-        return np.asarray(
-            np.einsum("mci,mci->mc", by_pose @ poses[image], by_pose)
-            + np.einsum("mcg,mcg->mc", by_globals @ covariance, by_globals)
-            + 2.0 * np.einsum("mci,mci->mc", by_globals @ cross[image], by_pose)
-        )
+    The unknowns use up as many degrees of freedom as there are unknowns. Each kind of residual
+    uses the trace of its part of the normal matrix times the covariance.
+    """
+    equations = linearize(model, unknowns, noise)
+    covariance = equations.solver.covariance
 
     def size(squares: float, count: float, taken: float, least: float) -> float:
         return max(float(np.sqrt(squares / max(count - taken, 0.02 * count))), least)
 
-    taken = float(used(*equations.pixel_slopes, model.corners.image).sum())
-    weights = equations.pixel_weights
-    squares = float(np.sum(weights[:, None] * equations.pixels**2))
-    found = replace(noise, pixel=size(squares, 2 * weights.sum(), taken, LEAST_NOISE.pixel))
+    precision, _ = model.prior(unknowns)
+    taken = float(model.count + 6 * model.corners.images + covariance.corners.size / 3)
+    taken -= float(precision @ np.diag(covariance.shared))
+    found = noise
     if model.base_from_flange is not None:
-        each = used(*equations.robot_slopes, np.arange(model.corners.images)).sum(axis=0)
+        by_pose, by_globals = equations.robot_slopes
+        cross = covariance.shared_poses.reshape(model.count, -1, 6).transpose(1, 0, 2)
+        each = (
+            np.einsum("kci,kij,kcj->c", by_pose, covariance.poses, by_pose, optimize=True)
+            + np.einsum("kcg,gh,kch->c", by_globals, covariance.shared, by_globals, optimize=True)
+            + 2.0 * np.einsum("kcg,kgi,kci->c", by_globals, cross, by_pose, optimize=True)
+        )
+        taken -= float(each.sum())
         weights = equations.robot_weights
         sums = np.sum(weights[:, None] * equations.robot**2, axis=0)
         count = 3.0 * float(weights.sum())
@@ -310,11 +335,13 @@ def noise_of(model: Model, unknowns: Unknowns, noise: Noise) -> Noise:
             orientation=size(sums[3:].sum(), count, each[3:].sum(), LEAST_NOISE.orientation),
         )
     if model.drawing is not None:
-        known = np.diag(covariance)[model.board].sum() / noise.board**2
-        squares = float(np.sum(equations.deviation**2))
-        count = float(len(model.board))
-        found = replace(found, board=size(squares, count, float(known), LEAST_NOISE.board))
-    return found
+        known = float(np.einsum("cii->", covariance.corners)) / noise.board**2
+        taken -= known
+        squares, count = float(np.sum(equations.deviation**2)), float(model.drawing.size)
+        found = replace(found, board=size(squares, count, known, LEAST_NOISE.board))
+    weights = equations.pixel_weights
+    squares = float(np.sum(weights[:, None] * equations.pixels**2))
+    return replace(found, pixel=size(squares, 2 * weights.sum(), taken, LEAST_NOISE.pixel))
 
 
 def _normal_matrix(slopes: FloatArray) -> FloatArray:
