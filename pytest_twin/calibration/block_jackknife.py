@@ -19,7 +19,7 @@ correlations, but Student's quantile widens the interval: 2.36 with 8 blocks, 2.
 
 def is_odometry(problem: Problem) -> bool:
     """Whether only poses of a camera's own odometry or SLAM were measured."""
-    return problem.layout.scale and len(problem.terms) == 1
+    return problem.plan.has_free_scale and len(problem.terms) == 1
 
 
 def block_jackknife(

@@ -20,11 +20,7 @@ from pytest_twin.calibration.problem import Problem
 from pytest_twin.calibration.solve import Fit
 from pytest_twin.calibration.starts import starts
 from pytest_twin.calibration.terms import PoseTerm
-from pytest_twin.calibration.wrong_scale import (
-    scale_beyond_chance,
-    scale_of,
-    scale_of_fit,
-)
+from pytest_twin.calibration.wrong_scale import FreeScale, scale_of, wrong_scale
 
 DOUBTFUL_M = 0.003
 """RMS error of a fit above which mistakes are searched for if the plan accepts any error. It is
@@ -63,8 +59,13 @@ def has_large_errors(fitted: Mapping[str, float], problem: Problem) -> bool:
     )
 
 
-def find_mistakes(fit: Fit) -> tuple[InputMistake, ...]:
-    """Return mistakes that explain the observations far better than a fit does, the best first."""
+def find_mistakes(fit: Fit, of_corners: FreeScale | None = None) -> tuple[InputMistake, ...]:
+    """Return mistakes that explain the observations far better than a fit does, the best first.
+
+    Args:
+        fit: the fit.
+        of_corners: scale of the target from the corners in images, if any.
+    """
     problem = fit.problem
     rows = {int(row) for term in problem.terms for row in term.rows}
     if len(rows) < LEAST_ROWS or not problem.layout.poses:
@@ -88,8 +89,8 @@ def find_mistakes(fit: Fit) -> tuple[InputMistake, ...]:
     ]
     scale = None
     turned_alike = np.isnan(now[1]) or now[1] < _AS_TURNED_RAD
-    if not good and not found and not problem.layout.scale and turned_alike:
-        scale = scale_of(problem, now) or scale_of_fit(fit) or scale_beyond_chance(fit)
+    if not good and not found and not problem.plan.has_free_scale and turned_alike:
+        scale = scale_of(problem, now) or wrong_scale(fit, of_corners)
     if scale is not None:
         good.append(scale)
     if good:
@@ -250,7 +251,7 @@ def _far_away(problem: Problem) -> Iterator[tuple[str, str]]:
         "camera_from_target": observations.camera_from_target,
     }
     for name, poses in given.items():
-        if poses is None or (name == "camera_from_target" and problem.layout.scale):
+        if poses is None or (name == "camera_from_target" and problem.plan.has_free_scale):
             continue
         distance = float(np.nanmedian(np.linalg.norm(poses[:, :3, 3], axis=1)))
         if distance > FAR_AWAY_M and name != "flange.*" and observations.images is not None:

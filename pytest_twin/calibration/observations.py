@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -85,6 +86,32 @@ class Observations:
             poses=words(self.poses),
             approaches=words(self.approaches),
         )
+
+
+def id_order(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a key that sorts ids, with the numbers in them by their value."""
+    parts = re.findall(r"[0-9]+|[^0-9]+", name)
+    return tuple((0, int(part), part) if part.isdecimal() else (1, 0, part) for part in parts)
+
+
+def in_order(observations: Observations, *, is_motion: bool) -> Observations:
+    """Return the rows by time, or by id where a row has no time.
+
+    The order of the rows in the file then has no influence.
+
+    Args:
+        observations: the rows.
+        is_motion: whether rows without a time are in the order of a motion, which is kept.
+    """
+    time, ids = observations.time, observations.ids
+    if time is not None and np.isfinite(time).all():
+        stamps = time.tolist()
+        return observations.rows(
+            sorted(range(len(ids)), key=lambda row: (stamps[row], id_order(ids[row])))
+        )
+    if is_motion:
+        return observations
+    return observations.rows(sorted(range(len(ids)), key=lambda row: id_order(ids[row])))
 
 
 def load_observations(path: Path) -> Observations:

@@ -72,6 +72,7 @@ class Layout:
         links: free link deviations.
         zero_prior, offset_prior, tilt_prior: standard deviations, rad or m.
         scale: whether the scale of the camera's positions is free.
+        scale_prior: standard deviation of the scale about 1, None for none.
     """
 
     poses: tuple[str, ...]
@@ -84,6 +85,7 @@ class Layout:
     offset_prior: float = 0.0
     tilt_prior: float = 0.0
     scale: bool = False
+    scale_prior: float | None = None
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -113,7 +115,7 @@ class Layout:
             for link in self.links
         ]
         if self.scale:
-            found.append(Parameter("scale", "camera", "1"))
+            found.append(Parameter("scale", "camera", "1", self.scale_prior))
         return tuple(found)
 
     @property

@@ -24,6 +24,10 @@ GEOMETRY_TRANSLATION_M = 0.002
 GEOMETRY_ROTATION_RAD = 0.01
 """Prior standard deviation of an axis direction, 1 mm over a bearing seat of 0.1 m."""
 
+TARGET_TOLERANCE = 0.002
+"""Prior standard deviation of a target's size, relative to the stated one. Office printers scale a
+page by 0.1 to 0.5 % if they are told to print at full size."""
+
 QUATERNION_TOLERANCE = 0.02
 """Largest deviation of a quaternion's length from 1. With four decimals it stays below 1e-3."""
 
@@ -121,6 +125,11 @@ class Plan:
     def has_free_scale(self) -> bool:
         """Whether the scale of the camera's positions is unknown and estimated."""
         return self.camera.get("scale") == "estimate"
+
+    @property
+    def target_tolerance(self) -> float:
+        """Prior standard deviation of the target's size, relative to the stated one."""
+        return float(self.target.get("tolerance", TARGET_TOLERANCE))
 
     def error(self, where: str, problem: str, **details: Any) -> SpecError:
         """Return an error for a dotted field of the plan, with its line number."""

@@ -99,6 +99,19 @@ class Problem:
         return replace(self, camera_unit=camera_unit).with_observations(self.observations)
 
 
+def arms(problem: Problem) -> tuple[Problem, ...]:
+    """Return the problem with joint zeros free too, and with link geometry free too."""
+    if problem.chain is None:
+        return ()
+    names = problem.plan.estimate
+    wider = []
+    for free in (("joint_zeros",), ("joint_zeros", "geometry")):
+        plan = replace(problem.plan, estimate=tuple(dict.fromkeys((*names, *free))))
+        made = make_problem(plan, problem.observations, problem.chain)
+        wider.append(made.in_unit(problem.camera_unit))
+    return tuple(wider)
+
+
 def reported_flange(chain: SerialChain | None, observations: Observations) -> FloatArray | None:
     """(rows, 4, 4) flange pose reported by the robot, m; None without robot and flange poses."""
     if observations.flange is not None:
@@ -167,6 +180,7 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
                 [name for name in free_points if name.startswith(PIVOT)]
             )
             links = link_parameters(chain, 1 if base_is_free else 0, zeros_are_free=bool(zeros))
+    seen = any(isinstance(term, PoseTerm) for term in terms)
     layout = Layout(
         tuple(free_poses),
         tuple(free_points),
@@ -177,7 +191,8 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
         plan.priors.joint_zeros,
         plan.priors.geometry_translation,
         plan.priors.geometry_rotation,
-        plan.has_free_scale,
+        plan.has_free_scale or (seen and plan.target_tolerance > 0.0),
+        None if plan.has_free_scale else plan.target_tolerance,
     )
     fixed = State(poses, points, np.zeros(len(joints)), np.zeros(len(links)))
     return Problem(plan, observations, chain, terms, layout, fixed, tuple(dict.fromkeys(notes)))

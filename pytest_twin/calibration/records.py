@@ -37,6 +37,9 @@ NOT_ASKED = {
 }
 """Record name of a pose that is estimated although the plan does not ask for it."""
 
+TARGET_SCALE = "target_scale"
+"""Record of the stated size of a target divided by its real one, under the target's tolerance."""
+
 HELD_BY_PRIOR = 0.7
 """Fraction of the prior's standard deviation above which a deviation reflects the prior and not the
 data. The data then carry less information than the drawing."""
@@ -122,7 +125,7 @@ def records(found: Estimate) -> dict[str, Any]:
         if block in layout.blocks and (values := scalars(found)):
             made[block] = values
     if layout.scale and not found.lost[layout.blocks["scale"]].any():
-        made["scale"] = _scale(found)
+        made["scale" if plan.has_free_scale else TARGET_SCALE] = _scale(found)
     order = [name for name in plan.estimate if name in made]
     return {name: made[name] for name in [*order, *(n for n in made if n not in order)]}
 
@@ -279,13 +282,18 @@ def _scale(found: Estimate) -> dict[str, Any]:
     ((_, spread),) = _scalars(found, "scale")
     value, std = (one / problem.camera_unit for one in (found.fit.state.scale, spread))
     width = found.quantile * std
-    return {
+    made = {
         "value": value,
         "unit": "1",
         "std": std,
         "ci95": [value - width, value + width],
         "meaning": "position in camera_from_target = value * position in m",
     }
+    prior = problem.layout.scale_prior
+    if prior is not None:
+        source = "prior" if std > HELD_BY_PRIOR * prior else "data"
+        made |= {"prior_std": prior, "determined_by": source, "asked": False}
+    return made
 
 
 def _geometry(found: Estimate) -> dict[str, Any]:

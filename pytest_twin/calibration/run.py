@@ -20,7 +20,9 @@ from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident_markers import ExcludedMeasurement, without_coincident
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weigh_by_source
+from pytest_twin.calibration.input_mistake import InputMistake
 from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
+from pytest_twin.calibration.moved_body import moved_body
 from pytest_twin.calibration.next_poses import next_poses, pose_diversity
 from pytest_twin.calibration.observability import (
     Gauge,
@@ -28,24 +30,26 @@ from pytest_twin.calibration.observability import (
     uncertain_directions,
     undetermined_directions,
 )
-from pytest_twin.calibration.observations import Observations
+from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.parameters import State
-from pytest_twin.calibration.plan import Plan, load_plan
+from pytest_twin.calibration.plan import TARGET_TOLERANCE, Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem, reported_flange
 from pytest_twin.calibration.recordings.gather import GatheredObservations, gather
 from pytest_twin.calibration.records import (
+    TARGET_SCALE,
     Estimate,
     estimate,
     full_covariance,
     records,
     with_directions,
 )
+from pytest_twin.calibration.repeated_rows import without_repeats
 from pytest_twin.calibration.residual_errors import Errors, acceptance_failures, errors_of, pattern
 from pytest_twin.calibration.scene import scene
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import camera_unit, is_subset, starts
-from pytest_twin.calibration.wrong_scale import scale_beyond_chance
+from pytest_twin.calibration.wrong_scale import wrong_scale
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
@@ -125,6 +129,7 @@ def _calibrate_observations(
         document = calibrate_encoders(found, observations, chain)
         document["inputs"] = _inputs(found, _read_files(found, gathered, folder))
         return document
+    observations = in_order(observations, is_motion=found.has_free_scale)
     observations, images, rejected = read_images(found, observations, folder)
     rejected = (*gathered.left_out, *rejected)
     told(0.4 if images else 0.1)
@@ -194,7 +199,10 @@ def calibrate(
             expected="no scale, or camera_from_target in place of images",
         )
     observations, left_out = without_coincident(observations)
-    fit_rows, held_rows = split(plan, observations)
+    observations, repeats = without_repeats(plan, observations, images)
+    left_out += repeats
+    unused = [one.id for one in (*rejected, *left_out)]
+    fit_rows, held_rows = split(plan, observations, unused)
     turned = ""
     if images is not None and (flange := reported_flange(chain, observations)) is not None:
         images, turned = with_consistent_orientation(images, observations.ids, flange)
@@ -247,11 +255,15 @@ def calibrate(
     lost = [] if seen is None else seen.complete(document, held_rows)
     document["unobservable"] += lost
     degenerate = degenerate or bool(lost)
-    if has_large_errors(document["fitted"], fit.problem):
-        suspected = find_mistakes(fit)
+    of_corners = None if seen is None else seen.scale
+    moved = None if degenerate or plan.has_free_scale else moved_body(problem, fit)
+    if moved is not None:
+        suspected: tuple[InputMistake, ...] = (moved,)
+    elif has_large_errors(document["fitted"], fit.problem):
+        suspected = find_mistakes(fit, of_corners)
     else:
-        # A camera without metric scale can go unnoticed even if the plan accepts the errors.
-        scale = scale_beyond_chance(fit)
+        # A wrong size of the target moves the camera, and the errors may stay small.
+        scale = wrong_scale(fit, of_corners)
         suspected = () if scale is None else (scale,)
     document["suspected"] = [one.to_json() for one in suspected]
     reasons = [
@@ -269,6 +281,12 @@ def calibrate(
     document["reasons"] = reasons if suspected else [*directions, *reasons]
     seen_notes = () if seen is None else seen.notes
     document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
+    if TARGET_SCALE in document["records"] and "tolerance" not in plan.target:
+        document["notes"].append(
+            f"the target's size may differ from the stated one by {100 * TARGET_TOLERANCE:g} % "
+            "(standard deviation), which is in the intervals; after measuring it, state target: "
+            "{tolerance: ...}"
+        )
     document["covariance"] = full_covariance(solved.estimate)
     document["scene"] = scene(
         problem, fit.state, {"held_out": (problem, errors), "fitted": (fit.problem, fitted)}

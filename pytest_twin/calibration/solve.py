@@ -288,6 +288,8 @@ def prior_values(problem: Problem, state: State) -> FloatArray:
         values[layout.blocks["joint_zeros"]] = state.zeros[list(layout.zeros)]
     if layout.links:
         values[layout.blocks["geometry"]] = state.links
+    if layout.scale:
+        values[layout.blocks["scale"]] = state.scale - 1.0
     return prior_rows(problem) @ values
 
 

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import binomtest
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration import closed_form
 from pytest_twin.calibration.input_mistake import FAR_BETTER, InputMistake
 from pytest_twin.calibration.jackknife import jackknife
-from pytest_twin.calibration.problem import Problem, predicted_poses
+from pytest_twin.calibration.observability import hold_gauges
+from pytest_twin.calibration.parameters import State
+from pytest_twin.calibration.problem import Problem, arms, predicted_poses
 from pytest_twin.calibration.solve import Fit, robust_cost, solve
 from pytest_twin.calibration.starts import camera_unit, seen_poses, starts
 from pytest_twin.calibration.terms import PointTerm, PoseTerm
 
 _SCALES = {0.001: "mm", 1000.0: "mm", 0.01: "cm", 100.0: "cm", 0.0254: "inches"}
 
-_LEAST_SCALE = 0.05
-"""Smallest deviation of a scale from 1 that significance alone can prove. Joint zeros that are
-wrong by 20 mrad change the size of an arm's motions by up to 2 %."""
+_ANOTHER_UNIT = 0.05
+"""Deviation of a scale from 1 beyond which the fit with the stated scale is no start for another
+one."""
 
 _CHANCE = 1e-3
 """Significance level of a scale and of its smaller errors."""
+
+_OF_ARM = "give robot: with columns joint.NAME and estimate joint_zeros"
+
+_MOST_SIZES = 4.0
+"""Residuals beyond this many standard deviations are outliers."""
 
 _SUBSETS = 6
 """Number of random subsets for starts when a scale is only tested."""
@@ -72,91 +78,126 @@ def _median_gap(
     return float(np.median(np.linalg.norm(gaps, axis=1)))
 
 
-def scale_of_fit(fit: Fit) -> InputMistake | None:
-    """Return a scale factor of the target's positions, estimated to first order with all else."""
-    at = 0
-    column = np.zeros(len(fit.jacobian))
-    residuals = np.zeros(len(fit.jacobian))
-    positions = np.zeros(len(fit.jacobian), dtype=bool)
-    for term, kept, residual in zip(fit.problem.terms, fit.kept, fit.residuals, strict=True):
-        size = np.array([fit.noise[name] for name in term.noise])
-        count = residual.size
-        residuals[at : at + count] = (residual * kept[:, None] / size).reshape(-1)
-        if isinstance(term, PoseTerm):
-            slope = np.zeros_like(residual)
-            slope[:, :3] = -term.measured[:, :3, 3] * kept[:, None] / size[:3]
-            column[at : at + count] = slope.reshape(-1)
-            positions[at : at + count] = np.tile([True] * 3 + [False] * 3, len(residual))
-        at += count
-    if not positions.any():
-        return None
-    matrix = np.column_stack([fit.jacobian, column])
-    change = np.linalg.lstsq(matrix, -residuals, rcond=1e-10)[0]
-    left = residuals + matrix @ change
-    factor = 1.0 + float(change[-1])
-    part = float(np.linalg.norm(left[positions]) / np.linalg.norm(residuals[positions]))
-    if part > FAR_BETTER or factor <= 0.0:
-        return None
-    usual = fit.noise["translation"] * part
-    return _of_target(fit.problem, factor, "camera_from_target", usual, float("nan"))
+@dataclass(frozen=True)
+class FreeScale:
+    """Scale of the camera's positions, estimated without a prior.
+
+    Attributes:
+        value: stated size of the target divided by its real one.
+        std: its standard deviation.
+        degrees: degrees of freedom of ``std``.
+    """
+
+    value: float
+    std: float
+    degrees: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval."""
+        half = float(student.ppf(0.975, max(self.degrees, 1.0))) * self.std
+        return self.value - half, self.value + half
+
+    def excludes_stated(self, tolerance: float) -> bool:
+        """Whether it differs from 1 beyond its error and the tolerance of the target together.
+
+        Args:
+            tolerance: standard deviation of the target's size, relative to the stated one.
+        """
+        quantile = float(student.ppf(1.0 - _CHANCE / 2.0, max(self.degrees, 1.0)))
+        return abs(self.value - 1.0) > quantile * float(np.hypot(self.std, tolerance))
 
 
-def scale_beyond_chance(fit: Fit) -> InputMistake | None:
-    """Return a statistically significant scale factor of the camera's positions.
+def wrong_scale(fit: Fit, of_corners: FreeScale | None = None) -> InputMistake | None:
+    """Return the scale of the camera's positions if the data exclude the stated one.
 
-    The scale is estimated together with all other unknowns. It must differ from 1 beyond its
-    interval. It must also reduce the leave-one-out errors of more observations than chance would.
+    The scale is estimated with all other unknowns and without its prior. It is wrong if it differs
+    from 1 beyond its own error and the tolerance of the target together, and if no error of the
+    arm explains the data better.
+
+    Args:
+        fit: a fit on poses of the target.
+        of_corners: scale from the corners in images, which know the focal length better than poses.
     """
     problem = fit.problem
-    terms = problem.terms
-    if len(terms) != 1 or not isinstance(terms[0], PoseTerm) or problem.layout.scale:
+    if problem.plan.has_free_scale or not any(isinstance(t, PoseTerm) for t in problem.terms):
         return None
-    unit = camera_unit(problem)
-    if unit is None or abs(np.log(unit)) < np.log1p(_LEAST_SCALE):
-        return None
-    layout = replace(problem.layout, scale=True)
+    unit = camera_unit(problem) or 1.0
+    if abs(np.log(unit)) < np.log1p(_ANOTHER_UNIT):
+        unit = 1.0
+    layout = replace(problem.layout, scale=True, scale_prior=None)
     scaled = replace(problem, layout=layout).in_unit(unit)
-    candidates = starts(scaled, _SUBSETS)
+    # Starts of the stated unit are no starts of another one.
+    candidates = {"fit": fit.state} if unit == 1.0 else starts(scaled, _SUBSETS)
     if not candidates:
         return None
-    best = min(candidates.values(), key=lambda state: robust_cost(scaled, state))
-    found = solve(scaled, best)
-    spread = _spread_of_scale(found)
-    quantile = float(student.ppf(1.0 - _CHANCE / 2.0, max(found.degrees, 1.0)))
-    scale = found.state.scale / unit
-    # If errors of the robot repeat with the pose, the interval is too narrow.
-    bound = max(quantile * spread / unit, _LEAST_SCALE)
-    errors, others = _leave_one_out_errors(found), _leave_one_out_errors(fit)
-    nearer, compared = int(np.sum(errors < others)), len(errors)
-    chance = binomtest(nearer, compared, alternative="greater").pvalue
-    if abs(scale - 1.0) <= bound or chance > _CHANCE:
+    free = solve(scaled, min(candidates.values(), key=lambda state: robust_cost(scaled, state)))
+    of_poses = FreeScale(free.state.scale / unit, _spread_of_scale(free) / unit, free.degrees)
+    scale = of_corners or of_poses
+    if not scale.excludes_stated(problem.plan.target_tolerance):
         return None
-    half = float(student.ppf(0.975, max(found.degrees, 1.0))) * spread / unit
+    if _explained_by_arm(free, problem, fit.state):
+        return None
+    distances = np.linalg.norm(np.concatenate([r[:, :3] for r in free.residuals]), axis=1)
     mistake = _of_target(
         problem,
-        1.0 / scale,
+        1.0 / scale.value,
         "camera_from_target",
-        float(np.median(errors)),
-        found.noise["rotation"],
+        float(np.median(distances)),
+        free.noise["rotation"],
     )
+    low, high = scale.interval
     return replace(
         mistake,
-        what=f"{mistake.what} (95 %: {scale - half:.4f} to {scale + half:.4f}; {nearer} of "
-        f"{compared} observations, each left out in turn, are nearer with it)",
+        what=f"{mistake.what} (95 %: {low:.4f} to {high:.4f})",
+        mend=f"{mistake.mend}; if it measures as stated, the arm is wrong by this factor: "
+        f"{_OF_ARM if problem.chain is None else 'calibrate its geometry'}, or state a larger "
+        "target: {tolerance: ...}",
     )
 
 
 def _spread_of_scale(fit: Fit) -> float:
-    """Return the standard deviation of the scale."""
+    """Return the standard deviation of the scale, by the larger of two estimates.
+
+    One assumes independent noise, the other leaves out whole observations.
+    """
     _, singular, right = np.linalg.svd(fit.jacobian, full_matrices=False)
     at = fit.problem.layout.blocks["scale"].start
-    return float(np.linalg.norm(right[:, at] / np.maximum(singular, 1e-300)))
+    independent = float(np.linalg.norm(right[:, at] / np.maximum(singular, 1e-300)))
+    return max(independent, float(np.sqrt(jackknife(fit).covariance[at, at])))
 
 
-def _leave_one_out_errors(fit: Fit) -> FloatArray:
-    """(m,) leave-one-out position error of each observation, m."""
-    left_out, residual = jackknife(fit).residuals[0][:, :3], fit.residuals[0][:, :3]
-    return np.asarray(np.linalg.norm(np.where(np.isfinite(left_out), left_out, residual), axis=1))
+def _explained_by_arm(free: Fit, problem: Problem, state: State) -> bool:
+    """Whether joint zeros or links that were not estimated explain the errors better than a scale.
+
+    Joint zeros that are wrong by 20 mrad change the size of an arm's motions by up to 2 %. The
+    smaller Bayesian information criterion decides.
+    """
+    chain = problem.chain
+    if chain is None:
+        return False
+    limit = _criterion(free)
+    for arm in arms(problem):
+        wider, _ = hold_gauges(arm, state)
+        links = np.zeros(len(wider.layout.links))
+        start = state if len(state.links) == len(links) else replace(state, links=links)
+        if wider.layout.count > problem.layout.count and _criterion(solve(wider, start)) < limit:
+            return True
+    return False
+
+
+def _criterion(fit: Fit) -> float:
+    """Bayesian information criterion of a fit with independent noise of each kind."""
+    total = 0.0
+    count = 0
+    for term, residual in zip(fit.problem.terms, fit.residuals, strict=True):
+        for name in set(term.noise):
+            values = residual[:, [kind == name for kind in term.noise]]
+            # Outliers of one of two fits must not decide the comparison.
+            size = np.minimum(np.abs(values), _MOST_SIZES * fit.noise[name])
+            total += values.size * float(np.log(np.mean(size**2)))
+            count += values.size
+    return total + fit.problem.layout.count * float(np.log(count))
 
 
 def _of_target(

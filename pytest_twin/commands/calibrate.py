@@ -123,7 +123,10 @@ def _words(document: dict[str, Any], path: Path) -> str:
     pattern = document["held_out"].get("pattern")
     if pattern:
         lines.append(f"pattern: {pattern['words']}")
-    lines += [f"left out: {one['id']}: {one['why']}" for one in document["excluded"]]
+    left_out: dict[str, list[str]] = {}
+    for one in document["excluded"]:
+        left_out.setdefault(one["why"], []).append(one["id"])
+    lines += [f"left out: {', '.join(ids)}: {why}" for why, ids in left_out.items()]
     lines += [f"not observable: {one}" for one in document["unobservable"]]
     lines += [f"note: {one}" for one in document["notes"]]
     lines.append(f"report: {path.with_name(PAGE_NAME)}")
@@ -150,6 +153,8 @@ def _record(name: str, record: dict[str, Any]) -> list[str]:
         return lines
     if "value" in record:
         low, high = record["ci95"]
+        if record["unit"] == "1":
+            return [f"{name}: {record['value']:.4f} ({low:.4f} to {high:.4f})"]
         line = f"{name}: {1e3 * record['value']:.2f} ms ({1e3 * low:.2f} to {1e3 * high:.2f})"
         return [f"{line}, correlation {record['correlation']:.2f}"]
     values = record["values"]

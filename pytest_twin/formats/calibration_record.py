@@ -97,6 +97,11 @@ class CalibrationRecord:
     basis: Mapping[str, Any] | None = None
 
 
+def _scale(records: Mapping[str, Any]) -> float | None:
+    record = records.get("scale", records.get("target_scale"))
+    return None if record is None else number(record["value"])
+
+
 def read_calibration_record(path: Path) -> CalibrationRecord:
     """Read a ``calibration.json``.
 
@@ -176,7 +181,7 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             if offset is None
             else (number(offset["value"]), standard_deviation(offset["ci95"])),
             clock_drift=_drift(offset),
-            scale=number(records["scale"]["value"]) if "scale" in records else None,
+            scale=_scale(records),
             homes={text(name): number(one["sign"]) for name, one in homes.items()},
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:

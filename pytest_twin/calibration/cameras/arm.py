@@ -57,5 +57,5 @@ def arm_of(problem: Problem, rows: np.ndarray, state: State) -> Arm | None:
     layout = problem.layout
     if not layout.zeros and not layout.links:
         return None
-    bare = replace(problem.on_rows(rows), layout=replace(layout, poses=(), points=()))
+    bare = replace(problem.on_rows(rows), layout=replace(layout, poses=(), points=(), scale=False))
     return Arm(bare, state)

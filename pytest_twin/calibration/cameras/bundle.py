@@ -54,6 +54,7 @@ class Bundle:
         board: (corners, 3) positions of the corners in the target's frame, in the unit of the
             drawing, m.
         scale: printed size of the board divided by that of the drawing; 1 if it was assumed exact.
+        scale_std: standard deviation of ``scale``; 0 if it was assumed exact.
         covariance: covariance of the 12 coordinates of hand-eye and robot-world (each x, y, z, then
             the rotation vector, in the axes of the parent; absent without a robot), of the arm's
             own parameters, of the scale (absent if exact), then of the free intrinsics.
@@ -73,6 +74,7 @@ class Bundle:
     camera_from_target: FloatArray
     board: FloatArray
     scale: float
+    scale_std: float
     covariance: FloatArray
     degrees: float
     noise: Noise
@@ -101,43 +103,55 @@ class KnownNoise:
     is_exact: bool = True
 
 
+@dataclass(frozen=True)
+class Robot:
+    """Robot that carries the camera or the target.
+
+    Attributes:
+        base_from_flange: (n, 4, 4) as the robot reports them, m.
+        mount: what the flange carries.
+        arm: robot arm whose joint zeros or link deviations are estimated too.
+        size_tolerance: standard deviation of the board's printed size, relative to its drawing;
+            above 0 the size is estimated too.
+    """
+
+    base_from_flange: FloatArray
+    mount: Mount
+    arm: Arm | None = None
+    size_tolerance: float = 0.0
+
+
 def bundle(
-    base_from_flange: FloatArray | None,
+    robot: Robot | None,
     detections: Sequence[Detection],
     start: Unknowns,
-    mount: Mount,
     free: Sequence[str] = (),
     *,
     noise: KnownNoise | None = None,
-    arm: Arm | None = None,
-    size_tolerance: float = 0.0,
 ) -> Bundle:
     """Return the least-squares estimate from images and, with a robot, from its flange poses.
 
     Args:
-        base_from_flange: (n, 4, 4) as the robot reports them, m; None without a robot.
+        robot: the robot; None for images alone.
         detections: (n) usable detections.
         start: initial camera; its board is the drawing.
-        mount: what the flange carries.
         free: intrinsics that are estimated.
         noise: known standard deviations; by default they are estimated.
-        arm: robot arm whose joint zeros or link deviations are estimated too.
-        size_tolerance: standard deviation of the board's printed size, relative to its drawing;
-            with a robot and a tolerance above 0, the size is estimated too.
 
     Raises:
         numpy.linalg.LinAlgError: the images and poses do not determine the unknowns.
     """
     # With few images the board is fixed at its drawing.
     exact_board = len(detections) < FEWEST_IMAGES_FOR_BOARD
+    arm = None if robot is None else robot.arm
     model = Model(
-        base_from_flange,
+        None if robot is None else robot.base_from_flange,
         corners_of(detections),
-        mount,
+        "hand" if robot is None else robot.mount,
         np.array([NAMES.index(name) for name in free], dtype=int),
         None if exact_board else start.board,
         arm,
-        size_tolerance,
+        0.0 if robot is None else robot.size_tolerance,
     )
     if arm is not None:
         start = replace(start, arm=np.zeros(arm.count))
@@ -161,6 +175,7 @@ def bundle(
         unknowns.camera_from_target,
         unknowns.board,
         unknowns.scale,
+        float(np.sqrt(equations.solver.covariance.shared[model.scale, model.scale].sum())),
         covariance,
         _degrees(model),
         sizes,

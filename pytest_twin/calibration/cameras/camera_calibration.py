@@ -121,13 +121,13 @@ def fit_images(
     if before is not None:
         start = Unknowns(np.eye(4), np.eye(4), intrinsics.vector, before.camera_from_target, board)
         known = KnownNoise(before.noise, is_exact=False)
-        return bundle(None, detections, start, "hand", free, noise=known)
+        return bundle(None, detections, start, free, noise=known)
     poses = [target_pose(one, intrinsics) for one in detections]
     if any(pose is None for pose in poses):
         raise ValueError("no pose of the target")
     seen = np.array([pose.camera_from_target for pose in poses if pose is not None])
     start = Unknowns(np.eye(4), np.eye(4), intrinsics.vector, seen, board)
-    return bundle(None, detections, start, "hand", free)
+    return bundle(None, detections, start, free)
 
 
 def camera_of(found: Bundle) -> Camera:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.arm import arm_of
-from pytest_twin.calibration.cameras.bundle import Bundle, bundle
+from pytest_twin.calibration.cameras.bundle import KnownNoise, Robot, bundle
 from pytest_twin.calibration.cameras.camera_calibration import Camera
 from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.intrinsics import NAMES, Intrinsics
@@ -18,12 +18,26 @@ from pytest_twin.calibration.cameras.normal_equations import Unknowns
 from pytest_twin.calibration.problem import predicted_poses
 from pytest_twin.calibration.records import Estimate
 from pytest_twin.calibration.terms import PoseTerm
+from pytest_twin.calibration.wrong_scale import FreeScale
 
 
-def refine_on_corners(
-    found: Estimate, images: Images, camera: Camera
-) -> tuple[Estimate, Camera, Bundle] | None:
-    """Return estimate, camera and bundle, fitted to the corners in the images instead of to poses.
+@dataclass(frozen=True)
+class Refined:
+    """Result of a fit to the corners in images.
+
+    Attributes:
+        estimate: the estimate.
+        camera: the camera and its board.
+        scale: scale of the board, estimated without its tolerance.
+    """
+
+    estimate: Estimate
+    camera: Camera
+    scale: FreeScale
+
+
+def refine_on_corners(found: Estimate, images: Images, camera: Camera) -> Refined | None:
+    """Return the estimate, fitted to the corners in the images instead of to poses.
 
     Joint zeros and links are unknowns too if the plan asks for them. Returns None if other things
     than images were measured, or if the images do not determine the unknowns. The fit on poses is
@@ -52,23 +66,43 @@ def refine_on_corners(
     flange = predicted_poses(problem, found.fit.state)[rows]
     arm = arm_of(problem, rows, found.fit.state)
     own = 0 if arm is None else arm.count
+    tolerance = 0.0 if problem.layout.scale_prior is None else problem.layout.scale_prior
+    own += tolerance > 0.0
     detections = [images.detections[one] for one in ids]
     try:
-        solved = bundle(flange, detections, start, term.mount, camera.free, arm=arm)
+        robot = Robot(flange, term.mount, arm, tolerance)
+        solved = bundle(robot, detections, start, camera.free)
+        free = bundle(
+            replace(robot, size_tolerance=np.inf),
+            detections,
+            replace(
+                start,
+                hand_eye=solved.solved.hand_eye,
+                robot_world=solved.solved.robot_world,
+                intrinsics=solved.intrinsics,
+                camera_from_target=solved.camera_from_target,
+            ),
+            camera.free,
+            noise=KnownNoise(solved.noise, is_exact=False),
+        )
     except np.linalg.LinAlgError:
         return None
+    scale = FreeScale(1.0 / free.scale, free.scale_std / free.scale**2, free.degrees)
     fit = found.fit
     places = {name: problem.layout.blocks[f"pose:{name}"] for name in names}
     state = replace(
         fit.state if arm is None else arm.moved(solved.arm),
         poses={**poses, names[0]: solved.solved.hand_eye, names[1]: solved.solved.robot_world},
+        scale=1.0 / solved.scale,
     )
     covariance = found.covariance.copy()
     turn = np.eye(12 + own)
-    # Zeros and links come after the poses in both orders.
+    # Zeros, links and scale come after the poses in both orders.
     order = np.r_[places[names[0]], places[names[1]], 12 : 12 + own]
     for at, name in enumerate(names):
         turn[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] = _own_axes(state.poses[name])
+    if tolerance > 0.0:
+        turn[-1, -1] = -(state.scale**2)
     both = solved.covariance[: 12 + own, : 12 + own]
     covariance[np.ix_(order, order)] = turn @ both @ turn.T
     noise = {**fit.noise, "reprojection": solved.noise.pixel}
@@ -86,7 +120,7 @@ def refine_on_corners(
         solved.noise.pixel,
         solved.noise.board if solved.is_board_estimated else 0.0,
     )
-    return better, new_camera, solved
+    return Refined(better, new_camera, scale)
 
 
 def intrinsics_record(camera: Camera, quantile: float = 1.96) -> dict[str, Any]:

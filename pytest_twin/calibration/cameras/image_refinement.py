@@ -10,15 +10,16 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin import __version__
-from pytest_twin.calibration.cameras.bundle import Bundle
 from pytest_twin.calibration.cameras.corner_refinement import intrinsics_record, refine_on_corners
 from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.coincident_markers import ExcludedMeasurement
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.records import Estimate
+from pytest_twin.calibration.repeated_rows import without_repeats
 from pytest_twin.calibration.residual_errors import acceptance_failures
 from pytest_twin.calibration.split import split
+from pytest_twin.calibration.wrong_scale import FreeScale
 
 MOST_FOCAL_SPREAD = 0.02
 """Relative standard deviation of a focal length above which the views do not determine it. It
@@ -38,7 +39,7 @@ class ImageRefinement:
         self._images, self._ids = images, observations.ids
         self._fitted = [observations.ids[row] for row in fitted]
         self.camera = images.camera(self._fitted)
-        self.bundle: Bundle | None = None
+        self.scale: FreeScale | None = None
         self._estimate: Estimate | None = None
         misfit = images.misfit(self._fitted, self.camera)
         self.notes: list[str] = [misfit] if misfit else []
@@ -60,7 +61,8 @@ class ImageRefinement:
         better = refine_on_corners(found, self._images, self.camera)
         if better is None:
             return False
-        self._estimate, self.camera, self.bundle = better
+        self._estimate, self.camera = better.estimate, better.camera
+        self.scale = better.scale
         return True
 
     def complete(self, document: dict[str, Any], held_out: np.ndarray) -> list[str]:
@@ -84,7 +86,9 @@ def calibrate_intrinsics(
     Raises:
         SpecError: the images do not determine the intrinsics.
     """
-    fitted, held_out = split(plan, observations)
+    observations, repeats = without_repeats(plan, observations, images)
+    rejected = (*rejected, *repeats)
+    fitted, held_out = split(plan, observations, [one.id for one in rejected])
     seen = ImageRefinement(images, observations, fitted)
     document: dict[str, Any] = {
         "schema": 1,

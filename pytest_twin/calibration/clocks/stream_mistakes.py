@@ -16,7 +16,7 @@ from pytest_twin.calibration.problem import make_problem
 from pytest_twin.calibration.residual_errors import errors_of
 from pytest_twin.calibration.solve import robust_cost, solve
 from pytest_twin.calibration.starts import starts
-from pytest_twin.calibration.wrong_scale import scale_beyond_chance
+from pytest_twin.calibration.wrong_scale import wrong_scale
 
 _POSES = 60
 """Number of poses used. Neighbouring poses have the same errors, so more add nothing."""
@@ -67,7 +67,7 @@ def mistakes_of_streams(
     if has_large_errors(errors_of(found.problem, found.state, found.kept).summary(), problem):
         suspected = find_mistakes(found)
     else:
-        scale = scale_beyond_chance(found)
+        scale = wrong_scale(found)
         suspected = () if scale is None else (scale,)
     return tuple(
         replace(one, what=_words_of_streams(one.what), mend=_words_of_streams(one.mend))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.boards.detection import Detection, detect_files
 from pytest_twin.calibration.boards.target import make_target
-from pytest_twin.calibration.cameras.bundle import KnownNoise, bundle
+from pytest_twin.calibration.cameras.bundle import KnownNoise, Robot, bundle
 from pytest_twin.calibration.cameras.increments import apply_change
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics, make_intrinsics, project
 from pytest_twin.calibration.cameras.normal_equations import Noise, Unknowns
@@ -67,7 +67,7 @@ def estimated(mount, reported, detections, start=CAMERA, free=(), target=TARGET)
     unknowns = Unknowns(
         first.hand_eye, first.robot_world, start.vector, seen, target.board_points()
     )
-    return bundle(reported, detections, unknowns, mount, free)
+    return bundle(Robot(reported, mount), detections, unknowns, free)
 
 
 def target_scatter(flange: np.ndarray, seen: np.ndarray, solved: HandEye) -> float:
@@ -175,7 +175,9 @@ def test_a_known_noise_is_not_changed():
     noise = Noise(0.25, 4e-4, 6e-4)
     board = TARGET.board_points()
     start = Unknowns(first.hand_eye, first.robot_world, CAMERA.vector, seen, board)
-    assert bundle(reported, detections, start, "hand", noise=KnownNoise(noise)).noise == noise
+    assert (
+        bundle(Robot(reported, "hand"), detections, start, noise=KnownNoise(noise)).noise == noise
+    )
 
 
 def test_a_recorded_cell_is_calibrated_more_accurately_than_by_the_algebraic_solvers():

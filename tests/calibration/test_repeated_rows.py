@@ -1,0 +1,124 @@
+"""Rows that repeat another one count once, in any order; a body that moved is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cells
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pytest_twin.calibration.closed_form import rigid
+from pytest_twin.calibration.observations import Observations, in_order
+from pytest_twin.calibration.plan import Accept, HoldOut
+from pytest_twin.calibration.run import calibrate
+from pytest_twin.errors import SpecError
+
+PLAN = cells.plan("hand_eye", "base_world", accept=Accept(0.002, 0.004), hold_out=HoldOut(0.33, 1))
+
+
+def cell_of(rows: int, seed: int = 5, mount: str = "hand") -> cells.Cell:
+    rng = np.random.default_rng(seed)
+    return cells.flange_cell(
+        rng, np.array([cells.pose(rng, 0.4) for _ in range(rows)]), mount=mount
+    )
+
+
+def repeated(observations: Observations, times: int, noise: float = 0.0) -> Observations:
+    """Each row several times, the target measured again with another noise."""
+    count = len(observations)
+    found = observations.rows(np.tile(np.arange(count), times))
+    poses = cells.noisy(found.camera_from_target, noise, noise, np.random.default_rng(0))
+    return replace(
+        found, ids=tuple(str(at) for at in range(times * count)), camera_from_target=poses
+    )
+
+
+def test_copies_of_rows_count_once_and_are_named() -> None:
+    once = cell_of(10).observations
+    alone, found = (calibrate(PLAN, each, None) for each in (once, repeated(once, 3)))
+    assert found["records"] == alone["records"]
+    assert found["held_out"] == alone["held_out"]
+    assert [one["id"] for one in found["excluded"]] == [str(at) for at in range(10, 30)]
+    assert found["excluded"][0]["why"] == "the robot and the target as in 0: counted once"
+
+
+def test_a_recorder_at_rest_counts_once_for_each_pose() -> None:
+    found = calibrate(PLAN, repeated(cell_of(12).observations, 5, noise=3e-4), None)
+    assert found["fitted"]["count"] + found["held_out"]["count"] == 12
+
+
+def test_rows_of_one_pose_that_contradict_each_other_are_no_copies() -> None:
+    once = cell_of(20).observations
+    twice = repeated(once, 2)
+    poses = twice.camera_from_target.copy()
+    poses[25, :3, 3] += 0.05
+    found = calibrate(PLAN, replace(twice, camera_from_target=poses), None)
+    (wrong,) = [one for one in found["excluded"] if one["id"] == "25"]
+    assert "off" in wrong["why"] or "outlier" in wrong["why"]
+
+
+def test_a_held_out_copy_of_a_fitted_row_is_refused() -> None:
+    plan = cells.plan("hand_eye", hold_out=HoldOut(ids=("3", "13", "14")))
+    with pytest.raises(SpecError, match="held out and repeats 4, which is fitted") as caught:
+        calibrate(plan, repeated(cell_of(10).observations, 2), None)
+    assert caught.value.value == "14"
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_the_order_of_the_rows_has_no_influence(stamped: bool) -> None:
+    observations = cell_of(30).observations
+    if stamped:
+        observations = replace(observations, time=2.0 * np.arange(30))
+    shuffled = observations.rows(np.random.default_rng(1).permutation(30))
+    found, other = (
+        calibrate(PLAN, in_order(each, is_motion=False), None) for each in (observations, shuffled)
+    )
+    assert found == other
+
+
+def test_held_out_rows_are_drawn_by_id() -> None:
+    observations = cell_of(30).observations
+    shuffled = observations.rows(np.random.default_rng(1).permutation(30))
+    found, other = (calibrate(PLAN, each, None)["held_out"] for each in (observations, shuffled))
+    assert set(found["ids"]) == set(other["ids"])
+    assert found["translation_rms"] == pytest.approx(other["translation_rms"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("mount", "row", "shift", "words"),
+    [
+        ("hand", 18, [0.03, 0.02, 0.0], "the target in the base"),
+        ("hand", 15, [0.005, 0.0, 0.0], "the target in the base"),
+        ("world", 9, [0.0, 0.01, 0.01], "the target on the flange"),
+    ],
+)
+def test_a_body_that_moved_is_named_with_the_row(
+    mount: str, row: int, shift: list[float], words: str
+) -> None:
+    observations = cell_of(30, mount=mount).observations
+    poses = observations.camera_from_target.copy()
+    poses[row:] = poses[row:] @ rigid(Rotation.from_rotvec([0, 0, 0.02]).as_matrix(), shift)
+    # A wrong row does not hide the step.
+    poses[4, :3, 3] += 0.3
+    plan = replace(PLAN, mount=mount)
+    found = calibrate(plan, replace(observations, camera_from_target=poses), None)
+    assert found["verdict"] == "rejected"
+    assert found["reasons"][0].startswith(f"from observation {row} on, {words} is elsewhere")
+    assert f"after observation {row - 1}" in found["reasons"][0]
+    size = 1e3 * np.linalg.norm(shift)
+    assert float(found["reasons"][0].split("by about ")[1].split(" mm")[0]) == pytest.approx(
+        size, rel=0.3
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_wrong_joint_zeros_are_no_moved_body(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cell = cells.joint_cell(rng, cells.arm(6, rng), 40, zeros=rng.normal(0.0, 0.02, 6))
+    # The poses follow a path along the first joint.
+    order = np.argsort(cell.observations.joints["j1"])
+    along = cell.observations.rows(order)
+    found = calibrate(cells.plan("hand_eye"), along, cell.chain)
+    assert not any("is elsewhere" in one["what"] for one in found["suspected"])
