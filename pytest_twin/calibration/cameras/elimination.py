@@ -105,9 +105,10 @@ class Elimination:
         """
         kept, gone = self._parts(right)
         schur = self._schur + damping * np.diag(np.diag(self._schur))
-        moved = -np.linalg.solve(schur, kept.ravel() - self._gain @ gone.ravel())
+        solved = np.linalg.solve(schur, kept.ravel() - self._gain @ gone.ravel())
+        moved = np.asarray(-solved, dtype=np.float64)
         rest = (gone.ravel() + self._coupling.T @ moved).reshape(gone.shape)
-        back = -np.einsum("nij,nj->ni", self._inverses, rest)
+        back = np.asarray(-np.einsum("nij,nj->ni", self._inverses, rest), dtype=np.float64)
         shared, others = moved[: self._shared_count], moved[self._shared_count :]
         others = others.reshape(self._others_shape)
         poses, corners = (others, back) if self.eliminates_corners else (back, others)
