@@ -5,12 +5,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
-import importlib.util
 import math
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pytest_twin.checks.base import (
@@ -23,6 +20,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.fields import spec_error
 from pytest_twin.checks.files import find_file
+from pytest_twin.checks.task_modules import declared_modules, load_file
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
@@ -36,8 +34,6 @@ if TYPE_CHECKING:
 _NAME: Mapping[str, Any] = {"type": "string", "minLength": 1}
 _LARGEST_OUTPUT = 10_000
 """Largest number of values of one output."""
-_NO_BYTECODE = "__no_bytecode__"
-"""Folder for bytecode that does not exist, so that no cached bytecode is found."""
 
 
 class Task(Check):
@@ -69,9 +65,9 @@ class Task(Check):
                     "type": "array",
                     "uniqueItems": True,
                     "items": _NAME,
-                    "description": "Other files that the result depends on, such as modules that "
-                    "the function imports and tables that it reads. The paths are relative to the "
-                    "twin's folder or to one of its roots.",
+                    "description": "Other files that the result depends on: every module of the "
+                    "twin that the function imports, and the tables that it reads. The paths are "
+                    "relative to the twin's folder or to one of its roots.",
                 },
                 "outputs": {
                     "type": "object",
@@ -259,7 +255,7 @@ def _distributions(module: str) -> tuple[str, ...]:
 
 @contextlib.contextmanager
 def _function(golden: Golden, realization: Realization) -> Iterator[Callable[..., Any]]:
-    """Load the function in a context in which its folder is importable."""
+    """Load the function in a context in which the declared modules are importable."""
     place, _, name = golden.target["function"].partition(":")
     field = "target.function"
     with contextlib.ExitStack() as stack:
@@ -270,9 +266,14 @@ def _function(golden: Golden, realization: Realization) -> Iterator[Callable[...
                     path=golden.path,
                     expected="twin.yaml in a folder above it",
                 )
-            path = find_file(golden, field, place, realization.twin)
-            stack.enter_context(_importable(path.parent))
-            module = _load(path)
+            twin = realization.twin
+            path = find_file(golden, field, place, twin)
+            files = {
+                find_file(golden, "target.files", name, twin): name
+                for name in golden.target.get("files", ())
+            }
+            stack.enter_context(declared_modules(golden, path, files))
+            module = load_file(path)
         else:
             module = _installed_module(golden, field, place)
         found: Callable[..., Any] | None = getattr(module, name, None)
@@ -303,41 +304,3 @@ def _installed_module(golden: Golden, field: str, place: str) -> ModuleType:
         raise spec_error(
             golden, field, f"cannot be imported: {error}", value=place, expected=expected
         ) from error
-
-
-@contextlib.contextmanager
-def _importable(folder: Path) -> Iterator[None]:
-    """Make modules in a folder importable, and remove them afterwards.
-
-    The child process runs several goldens, whose modules may have equal names. Cached bytecode is
-    neither read nor written: it counts as current if time and size of the source are equal, so that
-    a source changed within the same second could run in its old form.
-    """
-    before = set(sys.modules)
-    bytecode = sys.pycache_prefix, sys.dont_write_bytecode
-    sys.path.insert(0, str(folder))
-    sys.pycache_prefix, sys.dont_write_bytecode = str(folder / _NO_BYTECODE), True
-    try:
-        yield
-    finally:
-        sys.pycache_prefix, sys.dont_write_bytecode = bytecode
-        sys.path.remove(str(folder))
-        for name in set(sys.modules) - before:
-            file = getattr(sys.modules[name], "__file__", None)
-            if file is not None and Path(file).is_relative_to(folder):
-                del sys.modules[name]
-
-
-def _load(path: Path) -> ModuleType:
-    """Load a file as a separate module."""
-    spec = importlib.util.spec_from_file_location(f"pytest_twin_task_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise SpecError("cannot be loaded", path=path, expected="a Python file")
-    module = importlib.util.module_from_spec(spec)
-    # Dataclasses and pickling look a module up by its name.
-    sys.modules[spec.name] = module
-    try:
-        spec.loader.exec_module(module)
-    except SyntaxError as error:
-        raise SpecError(f"not valid Python: {error.msg}", path=path, line=error.lineno) from error
-    return module

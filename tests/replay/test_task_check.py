@@ -102,6 +102,58 @@ def test_a_changed_imported_module_is_loaded_again(arm: Path) -> None:
     assert [m.measured for m in measures if m.name == "count"] == [4.0]
 
 
+def test_a_module_that_the_golden_does_not_declare_is_refused(arm: Path) -> None:
+    golden, realization = load_task(arm, **{"  files: [tasks/helper.py]\n": ""})
+    # Not even where the function would go on without the module.
+    text = (arm / "tasks" / "reach.py").read_text()
+    (arm / "tasks" / "reach.py").write_text(
+        text.replace("import helper\n", "try:\n    import helper\nexcept ImportError:\n    pass\n")
+    )
+    with pytest.raises(SpecError) as refusal:
+        check_of("task").observe(golden, realization, lambda _: None)
+    assert str(refusal.value) == (
+        f"{golden.path}:3: target.files: the function imports 'helper', a module that the golden "
+        f"does not declare (got '{arm / 'tasks' / 'helper.py'}'; expected every module of the twin "
+        "that the function imports)"
+    )
+
+
+@pytest.mark.parametrize("name", ["json.py", "numpy.py", "yaml/__init__.py"])
+def test_a_declared_module_with_the_name_of_an_installed_one_is_refused(
+    arm: Path, name: str
+) -> None:
+    (arm / "tasks" / name).parent.mkdir(exist_ok=True)
+    (arm / "tasks" / name).write_text("COUNT = 3\n")
+    golden, realization = load_task(
+        arm, **{"files: [tasks/helper.py]": f"files: [tasks/helper.py, tasks/{name}]"}
+    )
+    with pytest.raises(SpecError, match="a module with the name of an installed one"):
+        check_of("task").observe(golden, realization, lambda _: None)
+
+
+def test_names_of_installed_modules_beside_a_function_change_nothing(arm: Path) -> None:
+    for name in ("json.py", "numpy.py", "token.py"):
+        (arm / "tasks" / name).write_text("raise SystemExit(9)\n")
+    measures = compare_with(arm, {"height": 0.7363, "position": [0.4826, 0.0, 0.7363], "count": 3})
+    assert all(measure.passed for measure in measures)
+
+
+def test_only_the_declared_modules_of_a_package_are_imported(arm: Path) -> None:
+    package = arm / "tasks" / "parts"
+    package.mkdir()
+    (package / "count.py").write_text("COUNT = 3\n")
+    (package / "other.py").write_text("COUNT = 4\n")
+    path = arm / "tasks" / "reach.py"
+    path.write_text(CODE.replace("import helper", "import parts.count as helper"))
+    declared = {"tasks/helper.py": "tasks/parts/count.py"}
+    golden, realization = load_task(arm, **declared)
+    observation = check_of("task").observe(golden, realization, lambda _: None)
+    assert observation.values["count"] == 3
+    path.write_text(CODE.replace("import helper", "import parts.other as helper"))
+    with pytest.raises(SpecError, match=r"imports 'parts\.other', a module that the golden does"):
+        check_of("task").observe(golden, realization, lambda _: None)
+
+
 def test_an_installed_function_depends_on_its_distribution(arm: Path) -> None:
     golden, realization = load_task(arm, **{"tasks/reach.py:reach": "numpy.linalg:norm"})
     assert "library:numpy" in check_of("task").depends(golden, realization.structure)
