@@ -142,7 +142,10 @@ def _refusal(config: pytest.Config) -> str | None:
 
 def _session(config: pytest.Config) -> TwinSession:
     if _SESSION not in config.stash:
-        from pytest_twin.session.session import TwinSession
+        from pytest_twin.realization.import_path import installed_modules_only
+
+        with installed_modules_only((config.rootpath,)):
+            from pytest_twin.session.session import TwinSession
 
         config.stash[_SESSION] = session = TwinSession(config, config.stash[_OPTIONS])
         config.pluginmanager.register(session, "twin-session")
@@ -150,7 +153,10 @@ def _session(config: pytest.Config) -> TwinSession:
 
 
 def _discover(config: pytest.Config) -> None:
-    from pytest_twin.session.discovery import twin_files
+    from pytest_twin.realization.import_path import installed_modules_only
+
+    with installed_modules_only((config.rootpath,)):
+        from pytest_twin.session.discovery import twin_files
 
     arguments = [Path(str(argument).split("::")[0]) for argument in config.args]
     include_above = config.stash[_OPTIONS].needs_twin

@@ -19,6 +19,8 @@ from pytest_twin.golden import Golden
 from pytest_twin.outcome import Reason
 from pytest_twin.twin import Affects, JointCalibration, Twin
 
+_OF_ITS_PROCESS = ("process:", "plugin:")
+"""Layers of the process that ran a golden: what was added later cannot have changed its result."""
 NO_RELEASE = Reason("no release yet")
 _FIELDS_PER_PART = 4
 """Largest number of changed fields of a part that are listed."""
@@ -408,9 +410,9 @@ def staleness(current: DependencyMap, baseline: Baseline | None) -> dict[str, tu
         if before is not None:
             for ident in sorted(ids & changed.ids & before):
                 reasons += changed.reasons(ident)
-            if ids != before:
-                reasons += [_set_change(ident, "added") for ident in sorted(ids - before)]
-                reasons += [_set_change(ident, "removed") for ident in sorted(before - ids)]
+            added = {i for i in ids - before if not i.startswith(_OF_ITS_PROCESS)}
+            reasons += [_set_change(ident, "added") for ident in sorted(added)]
+            reasons += [_set_change(ident, "removed") for ident in sorted(before - ids)]
         found[key] = (*reasons, *missing(ids))
     return found
 

@@ -121,18 +121,18 @@ class _DeclaredModules:
         if name in self.names:
             file = self.names[name]
             # Without search locations: other modules of the package must be declared too.
-            inside = [] if file.name == "__init__.py" else None
+            inside: list[str] | None = [] if file.name == "__init__.py" else None
             return importlib.util.spec_from_file_location(
                 name, file, submodule_search_locations=inside
             )
         if name.partition(".")[0] not in self.packages and self._is_installed(name):
             return None
-        if file := self._undeclared(name):
+        if undeclared := self._undeclared(name):
             raise spec_error(
                 self._golden,
                 _FIELD,
                 f"the function imports {name!r}, a module that the golden does not declare",
-                value=str(file),
+                value=str(undeclared),
                 expected="every module of the twin that the function imports",
             )
         if name in self.packages:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pytest_twin import staleness
+from pytest_twin.dependency import Part
 from pytest_twin.errors import TwinError
 from pytest_twin.gate import specs
 from pytest_twin.gate.asset_chain import changes_since, lost_manifests
@@ -16,12 +17,15 @@ from pytest_twin.gate.authority import recorded_without_authority
 from pytest_twin.gate.identity import digests
 from pytest_twin.gate.parts import changed_since, collect_dependencies
 from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, baseline_of, missing_and_dropped
+from pytest_twin.gate.process import GateProcess, released_files
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update, record
 from pytest_twin.gate.verdict import Facts, SessionFacts
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
+from pytest_twin.realization.import_path import installed_modules_only
 from pytest_twin.records.state import stale_lines, stale_reasons
+from pytest_twin.staleness import DependencyMap
 from pytest_twin.twin import load_twin
 
 if TYPE_CHECKING:
@@ -40,16 +44,27 @@ class Gate:
         twin_file: its ``twin.yaml``.
         runner: runs goldens in a child process.
         signing: whether a release is requested; models are then read again, without the cache.
+        process: returns code and settings of this process, for the twin's folder.
 
     Raises:
         TwinError: ``twin.yaml`` is not valid.
     """
 
-    def __init__(self, twin_file: Path, runner: Runner, *, signing: bool = False) -> None:
+    def __init__(
+        self,
+        twin_file: Path,
+        runner: Runner,
+        *,
+        signing: bool = False,
+        process: Callable[[Path], GateProcess] = lambda root: GateProcess(),
+    ) -> None:
         self.twin = load_twin(twin_file)
         self.root = self.twin.root
         self.runner = runner
         self.signing = signing
+        self.process = GateProcess()
+        """Code and settings of all processes that run goldens of the twin."""
+        self._process_of = process
         self.outcomes: dict[str, Outcome] = {}
         self.updates: list[Update] = []
         self.unsaved_plots: str | None = None
@@ -78,7 +93,8 @@ class Gate:
         """
         if path not in self._goldens:
             try:
-                self._goldens[path] = specs.load_golden(path, self.twin)
+                with installed_modules_only(self.runner.untrusted):
+                    self._goldens[path] = specs.load_golden(path, self.twin)
             except TwinError as error:
                 self._goldens[path] = error
         found = self._goldens[path]
@@ -103,7 +119,8 @@ class Gate:
                     goldens.append(self.golden(path))
                 except TwinError as error:
                     broken[path] = str(error)
-            self._plan = self._make_plan(goldens, broken)
+            with installed_modules_only(self.runner.untrusted):
+                self._plan = self._make_plan(goldens, broken)
         return self._plan
 
     def _make_plan(self, goldens: list[Golden], broken: Mapping[Path, str]) -> Plan:
@@ -112,15 +129,15 @@ class Gate:
             self.twin, goldens, self.runner.child(self.twin), fresh=self.signing
         )
         baseline, known, notes = self._baseline()
-        reasons = staleness.staleness(
-            current.dependencies, baseline_of(baseline) if baseline else None
-        )
+        self.add_process(self._process_of(self.root))
+        dependencies = self._with_process(current.dependencies, baseline.parts if baseline else {})
+        reasons = staleness.staleness(dependencies, baseline_of(baseline) if baseline else None)
         proofs = baseline.goldens if baseline else {}
         tasks = {
             (key := f"{golden.id}@{realization}"): Task(
                 golden,
                 realization,
-                tuple(sorted(current.dependencies.depends_on[key])),
+                tuple(sorted(dependencies.depends_on[key])),
                 (Reason(f"{realization}/model", "cannot be read"),)
                 if realization in current.unread
                 else (
@@ -139,7 +156,7 @@ class Gate:
         referred |= {path.with_suffix(".trace.csv") for path in broken}
         return Plan(
             tasks=tasks,
-            parts=current.dependencies.parts,
+            parts=dependencies.parts,
             baseline=baseline,
             missing=missing,
             dropped=dropped,
@@ -158,6 +175,26 @@ class Gate:
             notes=(*notes, *(note for state in current.records for note in state.notes)),
             stale_records=stale_lines(current.records, self.twin),
         )
+
+    def _with_process(
+        self, dependencies: DependencyMap, released: Mapping[str, Part]
+    ) -> DependencyMap:
+        """Dependencies with the code and settings of this process and of the release."""
+        process = released_files(self.root, released).merged_with(self.process)
+        self.process = process
+        wanted = frozenset(process.parts)
+        return DependencyMap(
+            {**dependencies.parts, **process.parts},
+            {key: ids | wanted for key, ids in dependencies.depends_on.items()},
+        )
+
+    def add_process(self, process: GateProcess) -> None:
+        """Add code and settings of a process that runs goldens."""
+        self.process = self.process.merged_with(process)
+
+    def parts_after_the_run(self) -> dict[str, Part]:
+        """All parts of the plan, with those of the process that appeared during the run."""
+        return {**self.plan().parts, **self.process.parts}
 
     def _baseline(self) -> tuple[Release | None, Release | None, tuple[str, ...]]:
         """The last valid release, the last authentic release, and notes for the terminal."""
@@ -206,7 +243,9 @@ class Gate:
         realization = golden.realizations[0]
         task = self.plan().tasks.get(f"{golden.id}@{realization}")
         parts = self.plan().parts
-        depends_on = [parts[ident] for ident in task.parts if ident in parts] if task else []
+        # What a golden records does not come from this process.
+        wanted = parts.keys() - self.process.parts.keys()
+        depends_on = [parts[ident] for ident in task.parts if ident in wanted] if task else []
         update: Update | None = None
         error: str | None = None
         try:
@@ -250,7 +289,7 @@ class Gate:
             dropped=plan.dropped,
             changed=self._changed(plan) if self.outcomes else (),
             chain_changes=plan.chain_changes,
-            problems=(*plan.stale_records, *plan.problems),
+            problems=(*plan.stale_records, *plan.problems, *self.process.problems),
             baseline=None if plan.baseline is None else plan.baseline.number,
             session=session,
         )
@@ -267,7 +306,7 @@ class Gate:
     def _changed(self, plan: Plan) -> tuple[str, ...]:
         paths = set(specs.spec_paths(self.twin)) - plan.files.keys()
         return (
-            *changed_since(plan.parts, plan.files),
+            *changed_since(plan.parts, {**plan.files, **self.process.files}),
             *(f"{path}: a new spec" for path in sorted(paths)),
         )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 from pytest_twin.checks import Check, check_of, kinds
@@ -13,6 +12,7 @@ from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import bytes_sha256, file_sha256
 from pytest_twin.gate.asset_chain import AssetChain, chain_of
+from pytest_twin.gate.distributions import installed_version
 from pytest_twin.gate.promotion import unpromoted_lines
 from pytest_twin.golden import Golden
 from pytest_twin.installed import entry_points_by_name, package_of
@@ -192,14 +192,6 @@ def changed_since(parts: Mapping[str, Part], files: Mapping[Path, str]) -> Itera
             now = installed_version(ident.partition(":")[2])
             if now != part.content["version"]:
                 yield f"{ident} {part.content['version']} -> {now}"
-
-
-def installed_version(distribution: str) -> str:
-    """Version of an installed distribution, ``absent`` where it is not installed."""
-    try:
-        return metadata.version(distribution)
-    except metadata.PackageNotFoundError:
-        return "absent"
 
 
 def _converter(model: Path) -> dict[str, str]:

@@ -163,15 +163,16 @@ def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]
 
     plan = gate.plan()
     signer, notes = release.signer(gate.root, policy.key, policy.ini_key)
-    used = {ident for task in plan.tasks.values() for ident in task.parts}
+    proofs = tuple(_proof(gate, task, facts) for task in plan.tasks.values())
+    used = {ident for proof in proofs for ident in proof.parts}
     draft = release.Draft(
         twin=gate.twin.name,
         valid_days=gate.twin.release.valid_days,
         ids=gate.ids(),
-        parts={ident: part for ident, part in plan.parts.items() if ident in used},
-        proofs=tuple(_proof(task, facts) for task in plan.tasks.values()),
+        parts={i: part for i, part in gate.parts_after_the_run().items() if i in used},
+        proofs=proofs,
         environment=release.environment(),
-        files=plan.files,
+        files={**plan.files, **gate.process.files},
     )
 
     def page(header: Header) -> str:
@@ -183,17 +184,18 @@ def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]
     return written, [*notes, *more]
 
 
-def _proof(task: Task, facts: Facts) -> Any:
+def _proof(gate: Gate, task: Task, facts: Facts) -> Any:
     from pytest_twin.release import Proof
 
     title, today = task.golden.title, task.golden.criticality
     outcome = facts.outcomes.get(task.key)
     if outcome is not None:
-        return Proof(outcome, title, task.parts)
+        return Proof(outcome, title, tuple(sorted({*task.parts, *gate.process.parts})))
     before = facts.proven[task.key]
     proof = task.proof
     assert proof is not None
-    return Proof(replace(before, criticality=today), title, task.parts, proof.release, proof.at)
+    # The parts of then: code that was added to the gate's process later did not run this golden.
+    return Proof(replace(before, criticality=today), title, proof.parts, proof.release, proof.at)
 
 
 def _report(

@@ -51,6 +51,20 @@ def import_path(untrusted: Iterable[Path] = ()) -> list[str]:
     return list(kept)
 
 
+@contextlib.contextmanager
+def installed_modules_only(untrusted: Iterable[Path] = ()) -> Iterator[None]:
+    """Import modules of this process as a child does, for the duration of the context.
+
+    `python -m pytest` and a ``conftest.py`` put folders of the user first on the import path.
+    """
+    entries = list(sys.path)
+    sys.path[:] = import_path(untrusted)
+    try:
+        yield
+    finally:
+        sys.path[:] = entries
+
+
 def is_installed(path: Path) -> bool:
     """Whether ``path`` belongs to Python's library, or to an installation in ``site-packages``.
 

@@ -18,6 +18,7 @@ from pytest_twin.gate.failure_diagnosis import RealizationDiagnosis, diagnose_fa
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import line_of
 from pytest_twin.gate.plan_lines import update_lines, why_lines
+from pytest_twin.gate.process import GateProcess
 from pytest_twin.gate.run_end import Policy, finish
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update
@@ -25,11 +26,13 @@ from pytest_twin.gate.verdict import SessionFacts
 from pytest_twin.golden import Golden
 from pytest_twin.interrupts import sigterm_as_interrupt
 from pytest_twin.outcome import Outcome, Reason
+from pytest_twin.realization.import_path import installed_modules_only
 from pytest_twin.report.failure import failure_text, what
 from pytest_twin.report.text import quantity
 from pytest_twin.session import selection
 from pytest_twin.session.items import FailureText, GoldenFailedError, GoldenFile, GoldenItem
 from pytest_twin.session.options import Options
+from pytest_twin.session.process_code import process_code
 from pytest_twin.session.progress import ProgressLine
 
 _MARKERS = {
@@ -62,6 +65,7 @@ class TwinSession:
         self.collection_errors: list[str] = []
         self.deselected = 0
         self.collected: set[str] = set()
+        self.test_modules: set[Path] = set()
         self.failed: dict[tuple[Path, str], pytest.TestReport] = {}
         self.advisories: list[tuple[Gate, str]] = []
         self.summaries: list[tuple[Gate, list[str]]] = []
@@ -87,7 +91,12 @@ class TwinSession:
         """The gate of a twin, None where its ``twin.yaml`` is not valid."""
         if twin_file not in self.gates and twin_file not in self.broken:
             try:
-                self.gates[twin_file] = Gate(twin_file, self.runner, signing=self.options.release)
+                self.gates[twin_file] = Gate(
+                    twin_file,
+                    self.runner,
+                    signing=self.options.release,
+                    process=self._process_code,
+                )
             except TwinError as error:
                 self.broken[twin_file] = error
         return self.gates.get(twin_file)
@@ -120,6 +129,7 @@ class TwinSession:
         """Count the tests that other plugins deselect, then deselect the fresh goldens."""
         collected = list(items)
         self.collected.update(_keys(items))
+        self.test_modules.update(i.path for i in items if not isinstance(i, GoldenItem))
         yield
         self.deselected = len(collected) - len(items)
         if self.config.getoption("collectonly") or session.testsfailed:
@@ -181,6 +191,9 @@ class TwinSession:
         message = json.loads(getattr(node, "workeroutput", {}).get("twin", "{}"))
         self.collected.update(message.get("collected", ()))
         self.deselected = max(self.deselected, message.get("deselected", 0))
+        for twin_file, process in message.get("processes", {}).items():
+            if (gate := self.gate(Path(twin_file))) is not None:
+                gate.add_process(GateProcess.from_json(process))
 
     # -- running
 
@@ -289,7 +302,14 @@ class TwinSession:
         self.runner.close()
         if self.is_worker:
             self.config.workeroutput["twin"] = json.dumps(  # type: ignore[attr-defined]
-                {"collected": sorted(self.collected), "deselected": self.deselected}
+                {
+                    "collected": sorted(self.collected),
+                    "deselected": self.deselected,
+                    "processes": {
+                        str(gate.twin.path): self._process_code(gate.root).to_json()
+                        for gate in self.gates.values()
+                    },
+                }
             )
             return
         if self.config.getoption("collectonly"):
@@ -299,7 +319,12 @@ class TwinSession:
         if exitstatus == pytest.ExitCode.INTERNAL_ERROR or self.options.why:
             return
         for gate in self.gates.values():
-            self._finish(gate, session, exitstatus)
+            gate.add_process(self._process_code(gate.root))
+            with installed_modules_only(self.runner.untrusted):
+                self._finish(gate, session, exitstatus)
+
+    def _process_code(self, root: Path) -> GateProcess:
+        return process_code(self.config, root, self.test_modules)
 
     def _are_all_goldens_fresh(self) -> bool:
         """Whether nothing ran because all goldens are fresh."""

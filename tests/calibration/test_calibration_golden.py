@@ -17,7 +17,7 @@ from pytest_twin.checks.base import Measure, NothingToProposeError
 from pytest_twin.checks.files import find_file
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.gate.parts import installed_version
+from pytest_twin.gate.distributions import installed_version
 from pytest_twin.gate.plan import Plan, Task
 from pytest_twin.gate.plan_lines import why_lines
 from pytest_twin.gate.specs import load_golden

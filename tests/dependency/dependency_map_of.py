@@ -9,7 +9,7 @@ from pytest_twin.checks import check_of
 from pytest_twin.checks.files import find_file
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.gate.parts import installed_version
+from pytest_twin.gate.distributions import installed_version
 from pytest_twin.gate.specs import load_golden, spec_paths
 from pytest_twin.golden import Golden
 from pytest_twin.realization import load

@@ -24,7 +24,7 @@ from pytest_twin.checks.base import Measure, NothingToProposeError
 from pytest_twin.checks.files import find_file
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.gate.parts import installed_version
+from pytest_twin.gate.distributions import installed_version
 from pytest_twin.gate.specs import load_golden
 from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import load

@@ -1,0 +1,167 @@
+"""Find the code and settings of this process: ``conftest.py``, modules, configuration, plugins."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import sys
+from collections.abc import Collection, Iterator
+from importlib import metadata
+from importlib.machinery import PathFinder, all_suffixes
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from pytest_twin.dependency import Part
+from pytest_twin.errors import TwinError
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.gate.distributions import code_sha256
+from pytest_twin.gate.process import PLUGIN_LAYER, GateProcess, file_part
+from pytest_twin.realization.import_path import import_path, is_installed
+
+_PLUGINS = "pytest11"
+"""Group of the entry points through which pytest finds installed plugins."""
+_PACKAGE = Path(__file__).parents[1]
+_OWN_DISTRIBUTION = "pytest-twin"
+# pytest puts the parent of a package of tests on the import path; `test` is a usual name of one,
+# and only tests import the module of Python's library with this name.
+_FREE_NAMES = frozenset({"test"})
+
+
+def process_code(config: pytest.Config, root: Path, tests: Collection[Path]) -> GateProcess:
+    """Code and settings that this process has loaded, as far as they are not part of pytest.
+
+    Args:
+        config: configuration of pytest.
+        root: the twin's folder.
+        tests: collected test modules.
+    """
+    loaded = set(_local_modules(config, root))
+    loaded.update(path for path in _plugin_modules(config) if not is_installed(path))
+    if config.inipath is not None:
+        loaded.add(config.inipath)
+    files, parts, problems = {}, _plugin_parts(), []
+    for path in sorted(loaded):
+        if path.is_relative_to(_PACKAGE):
+            continue
+        try:
+            files[path] = file_sha256(path)
+            if path not in tests:
+                part = file_part(root, path)
+                parts[part.id] = part
+        except TwinError as error:
+            problems.append(str(error))
+    problems += _hiding_modules(config, root)
+    return GateProcess(parts, files, tuple(problems))
+
+
+def _folders(config: pytest.Config, root: Path) -> tuple[Path, ...]:
+    """Folders with files of the user: of the twin, of pytest's root and of the invocation."""
+    return (root, config.rootpath, config.invocation_params.dir)
+
+
+def _local_modules(config: pytest.Config, root: Path) -> Iterator[Path]:
+    """Files of loaded modules in the twin's folder, pytest's root and the working folder."""
+    folders = tuple(
+        {
+            f"{spell(folder)}{os.sep}"
+            for folder in _folders(config, root)
+            for spell in (os.path.abspath, os.path.realpath)
+        }
+    )
+    for module in list(sys.modules.values()):
+        file = getattr(module, "__file__", None)
+        if isinstance(file, str) and file.startswith(folders) and not is_installed(Path(file)):
+            yield Path(file)
+
+
+def _plugin_modules(config: pytest.Config) -> Iterator[Path]:
+    """Files of all plugins that are modules: ``conftest.py``, and those of the option ``-p``."""
+    for plugin in config.pluginmanager.get_plugins():
+        file = getattr(plugin, "__file__", None)
+        if isinstance(plugin, ModuleType) and isinstance(file, str):
+            yield Path(file)
+
+
+@functools.cache
+def _installed_plugins() -> tuple[Part, ...]:
+    modules: dict[str, list[str]] = {}
+    found: dict[str, metadata.Distribution] = {}
+    for point in metadata.entry_points(group=_PLUGINS):
+        if point.dist is not None and point.dist.name != _OWN_DISTRIBUTION:
+            found[point.dist.name] = point.dist
+            modules.setdefault(point.dist.name, []).append(point.module)
+    return tuple(
+        Part(
+            f"{PLUGIN_LAYER}{name}",
+            {"version": found[name].version, "sha256": code_sha256(found[name], modules[name])},
+        )
+        for name in sorted(found)
+    )
+
+
+def _plugin_parts() -> dict[str, Part]:
+    """Parts of the installed plugins, those that an option switches off included.
+
+    Options such as ``-p no:NAME`` must not make goldens stale.
+    """
+    return {part.id: part for part in _installed_plugins()}
+
+
+def _hiding_modules(config: pytest.Config, root: Path) -> Iterator[str]:
+    """Lines about local modules that hide a module of Python, of pytest or of pytest-twin.
+
+    Such a module can change every verdict, and after its import it can remove all traces.
+    """
+    children = import_path((root, config.rootpath))
+    library = next((sys.path.index(e) for e in sys.path if e == str(Path(os.__file__).parent)), 0)
+    for entry in dict.fromkeys(sys.path[:library]):
+        if entry in children:
+            continue
+        for name, path in _modules_in(Path(entry)):
+            if name not in _FREE_NAMES and _is_of_the_gate(name, children):
+                yield (
+                    f"{path}: hides the installed module {name!r} in this process (expected "
+                    "another name, or `pytest` instead of `python -m pytest`)"
+                )
+
+
+def _modules_in(folder: Path) -> Iterator[tuple[str, Path]]:
+    suffixes = tuple(all_suffixes())
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if path.name.endswith(suffixes) and path.is_file():
+            yield path.name.partition(".")[0], path
+        elif path.is_dir() and any((path / f"__init__{suffix}").is_file() for suffix in suffixes):
+            yield path.name, path
+
+
+def _is_of_the_gate(name: str, children: list[str]) -> bool:
+    if name in sys.stdlib_module_names or name in ("pytest_twin", "_pytest", "pytest"):
+        return True
+    spec = PathFinder.find_spec(name, children)
+    return spec is not None and spec.origin is not None and name in _modules_of_the_gate()
+
+
+@functools.cache
+def _modules_of_the_gate() -> frozenset[str]:
+    """Top-level modules of the distributions that pytest and pytest-twin require."""
+    required: set[str] = set()
+    waiting = ["pytest", _OWN_DISTRIBUTION]
+    while waiting:
+        name = _normalized(waiting.pop())
+        if name in required:
+            continue
+        required.add(name)
+        try:
+            lines = metadata.requires(name) or ()
+        except metadata.PackageNotFoundError:
+            continue
+        waiting += [re.split(r"[^\w.-]", line)[0] for line in lines if "extra ==" not in line]
+    packages = metadata.packages_distributions().items()
+    return frozenset(m for m, names in packages if required & {_normalized(n) for n in names})
+
+
+def _normalized(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
