@@ -27,6 +27,8 @@ MADE_BY = {"source": "intake", "normalized": "realize", "realization": "realize"
 """State -> the command of pytest-twin that writes it."""
 REPORTS = "reports"
 """Fact of a state: files that describe it, such as the change log; they carry no digest."""
+_WORDS = (b'"asset"', b'"states"', b'"source"', b'"digest"', b'"files"')
+"""Words of every manifest."""
 _XML_SUFFIXES = (".urdf", ".xml")
 _VERSIONED = ("pytest-twin", "mujoco", "trimesh", "numpy")
 """Distributions whose versions a made state names."""
@@ -376,34 +378,43 @@ def all_files(path: Path, manifest: Manifest) -> list[Path]:
 
 
 def is_source_folder(folder: Path) -> bool:
-    """Whether a folder holds a supplier's files as ``intake`` stored them."""
-    beside = folder.parent / FILE_NAME
-    if folder.name != SOURCE_FOLDER or not beside.is_file():
-        return False
+    """Whether a folder holds a supplier's files as ``intake`` stored them.
+
+    Its manifest may be damaged.
+    """
+    return folder.name == SOURCE_FOLDER and _is_manifest(folder.parent / FILE_NAME)
+
+
+def _is_manifest(path: Path) -> bool:
+    """Whether a file is a manifest of an asset, perhaps a damaged one: others use the name too."""
     try:
-        data = json.loads(read_bytes(beside, _MAX_BYTES))
-    except (TwinError, ValueError, RecursionError):
+        text = read_bytes(path, _MAX_BYTES)
+    except TwinError:
         return False
-    return isinstance(data, dict) and data.get("schema") == 1 and "source" in data.get("states", ())
+    return sum(word in text for word in _WORDS) > len(_WORDS) // 2
 
 
 def find(path: Path) -> tuple[Path, Manifest] | None:
     """Find the manifest in a parent folder that lists a file in one of its states.
 
+    Of several, the outermost: a supplier may deliver an asset that has a manifest of its own.
+
     Raises:
         FormatError: a manifest in a parent folder cannot be read.
     """
+    nearest_first: list[tuple[Path, Manifest]] = []
     for folder in path.parents:
         candidate = folder / FILE_NAME
-        if not candidate.is_file() or candidate.is_symlink():
+        if candidate.is_symlink() or not _is_manifest(candidate):
             continue
+        in_source = any(is_source_folder(above) for above in (folder, *folder.parents))
         try:
             manifest = read(candidate)
         except FormatError:
-            if (folder / SOURCE_FOLDER).is_dir():
-                raise
-            # Other tools also write files of this name.
-            continue
+            if in_source:
+                # The manifest of the supplier, not ours.
+                continue
+            raise
         if manifest.state_of(path.relative_to(folder).as_posix()) is not None:
-            return candidate, manifest
-    return None
+            nearest_first.append((candidate, manifest))
+    return nearest_first[-1] if nearest_first else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,7 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
         made: result of ``realize``; its key ``manifest`` is set here.
 
     Raises:
-        PathError: a file would overwrite the source, or a link has its name.
+        PathError: a file would overwrite the source or an edit, or a link has its name.
     """
     files = sorted(path for path in staging.rglob("*") if path.is_file())
     targets = {out / path.relative_to(staging): path for path in files}
@@ -59,6 +59,7 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
                 expected="nothing, or a regular file: move it, or give another folder for --out",
             )
     old = _before(out)
+    _require_no_edits(out, old, targets)
     listed, copied = _manifest(out, source, made, old, targets)
     written = {
         name
@@ -78,6 +79,18 @@ def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -
         shutil.copy(path, out / name)
     manifest.write(out / manifest.FILE_NAME, listed)
     made["manifest"] = json.loads(listed.to_text())
+
+
+def _require_no_edits(out: Path, old: Manifest | None, targets: Collection[Path]) -> None:
+    """Check that no file of an earlier run was changed by hand: it would be overwritten."""
+    edited = [] if old is None else manifest.changes_of_generated(out / manifest.FILE_NAME, old)
+    for change in edited:
+        if out / change.file in targets and (out / change.file).exists():
+            raise PathError(
+                f"{change} after the last realize, and would be overwritten",
+                path=out / change.file,
+                expected="another folder for --out, or the file moved away",
+            )
 
 
 def _before(out: Path) -> Manifest | None:

@@ -34,12 +34,14 @@ class AssetChain:
     Attributes:
         content: manifest, relative to the twin's folder -> digests of the manifest and of each
             state, what made it from which state, the models among its files, and stated edits.
+        notes: assets whose files no model of the twin is among, one line each.
         problems: what no longer follows from the step before, one line each.
         files: files that a release depends on, by way of a manifest.
         unread: manifests that cannot be read.
     """
 
     content: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
     unread: frozenset[Path] = frozenset()
@@ -87,7 +89,18 @@ def chain_of(twin: Twin) -> AssetChain:
         if path not in stated
     ]
     problems += _problems_of_original(twin)
-    return AssetChain(content, tuple(dict.fromkeys(problems)), tuple(files), frozenset(unread))
+    return AssetChain(
+        content=content,
+        notes=tuple(
+            f"asset: {name}: no model of this twin is among its files, so nothing states what the "
+            "model was made from"
+            for name, asset in content.items()
+            if not asset["models"]
+        ),
+        problems=tuple(dict.fromkeys(problems)),
+        files=tuple(files),
+        unread=frozenset(unread),
+    )
 
 
 def _referenced(twin: Twin) -> Iterable[Path]:

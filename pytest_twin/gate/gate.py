@@ -172,7 +172,11 @@ class Gate:
             ),
             chain=current.chain.content,
             chain_changes=() if baseline is None else tuple(changes_since(baseline, current.chain)),
-            notes=(*notes, *(note for state in current.records for note in state.notes)),
+            notes=(
+                *notes,
+                *current.chain.notes,
+                *(note for state in current.records for note in state.notes),
+            ),
             stale_records=stale_lines(current.records, self.twin),
         )
 

@@ -8,7 +8,7 @@ import re
 import shutil
 import tarfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,7 +110,8 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walk]:
         assert main(["realize", str(urdf), "--out", str(intake)]) == 0
         assert main(["init", str(intake / "arm.xml"), "--out", str(twin)]) == 0
         keep_goldens(twin, "fk", "mass_properties")
-        assert run_gate(twin).lines[-1].startswith("release 0001 signed")
+        first = run_gate(twin).lines
+        assert first[-1].startswith("release 0001 signed"), first
         data = tmp_path / "wave.mcap"
         write_wave(data)
         assert main(["stamp", str(data), "--release", str(twin)]) == 0
@@ -133,6 +134,8 @@ def restored(walk: Walk) -> Iterator[Walk]:
         file: file.read_bytes() for root in roots for file in root.rglob("*") if file.is_file()
     }
     yield walk
+    for release in walk.twin.glob("releases/000[2-9]"):
+        shutil.rmtree(release)
     for root in roots:
         for file in root.rglob("*"):
             if file.is_file() and file not in before and ".twin" not in file.parts:
@@ -256,6 +259,16 @@ def test_a_change_in_the_intake_that_the_twin_was_copied_from_is_named(restored:
     assert line.strip().startswith(str(restored.intake / "manifest.json"))
 
 
+def test_a_model_that_is_no_file_of_the_asset_is_noted(restored: Walk) -> None:
+    shutil.copy(restored.twin / ASSET / "arm.xml", restored.twin / ASSET / "mine.xml")
+    file = restored.twin / "twin.yaml"
+    file.write_text(file.read_text().replace("asset/arm/arm.xml", "asset/arm/mine.xml"))
+    lines = run_gate(restored.twin).lines
+    assert any("no model of this twin is among its files" in line for line in lines)
+    assert any("models mujoco arm.xml -> none" in line for line in lines)
+    assert signed(lines)
+
+
 def test_a_manifest_that_is_gone_blocks_the_release(restored: Walk) -> None:
     (restored.twin / ASSET / "manifest.json").unlink()
     result = run_gate(restored.twin)
@@ -270,18 +283,21 @@ def test_an_edit_is_released_once_its_reason_and_owner_are_stated(restored: Walk
     file.write_text(file.read_text() + stated)
     lines = run_gate(restored.twin).lines
     assert any("the stated edits of generated files" in line for line in lines)
-    assert lines[-1].startswith("release 0002 signed")
-    payload = json.loads(released_statement(restored.twin, 2))
+    payload = json.loads(released_statement(restored.twin, signed(lines)))
     edits = payload["predicate"]["ids"]["chain"]["asset/arm/manifest.json"]["edited"]
     assert edits["arm.urdf"]["owner"] == "A. Engineer"
     # A later edit of the same file is another release.
     edit(restored.twin / ASSET / "arm.urdf", b"0.5", b"0.6")
-    assert run_gate(restored.twin).lines[-1].startswith("release 0003 signed")
+    assert signed(run_gate(restored.twin).lines)
     file.write_text(file.read_text().replace("arm/arm.urdf", "arm/arm.xml"))
     result = run_gate(restored.twin)
     assert any("edited.asset/arm/arm.xml: the file is as" in line for line in result.lines)
-    for number in ("0002", "0003"):
-        shutil.rmtree(restored.twin / "releases" / number)
+
+
+def signed(lines: Sequence[str]) -> int:
+    """The number of the release that a run signed, 0 if it signed none."""
+    match = re.match(r"release (\d+) signed", lines[-1])
+    return int(match[1]) if match else 0
 
 
 def released_statement(twin: Path, number: int) -> bytes:
@@ -420,6 +436,44 @@ def test_a_realization_in_another_folder_keeps_the_source(intake: Path, tmp_path
     edit(out / "source/docs/naming_table.csv", b"J1", b"J2")
     (changed,) = manifest.changes_of_source(out / "manifest.json", known)
     assert changed.file == "source/docs/naming_table.csv"
+
+
+def test_an_edited_file_is_not_overwritten_by_realize(
+    intake: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edit(intake / "arm.xml", b'mass="1.5"', b'mass="1.6"')
+    edited = (intake / "arm.xml").read_bytes()
+    words = ["realize", str(intake / "source/arm_description/urdf/arm.urdf"), "--out", str(intake)]
+    assert main(words) == 2
+    assert "arm.xml was changed after the last realize" in capsys.readouterr().err
+    assert (intake / "arm.xml").read_bytes() == edited
+    (intake / "arm.xml").unlink()
+    assert main(words) == 0
+
+
+def test_a_manifest_of_another_tool_or_of_the_supplier_is_ignored(tmp_path: Path) -> None:
+    folder = supply(tmp_path)
+    (folder / "manifest.json").write_text('{"name": "arm", "version": 3}')
+    (folder / "source").mkdir()
+    shutil.move(folder / "arm_description", folder / "source")
+    # As above a twin in the checkout of a web page.
+    (tmp_path / "manifest.json").write_text('{"start_url": "/"}')
+    (tmp_path / "source").mkdir()
+    out = tmp_path / "arm"
+    assert main(["intake", str(folder), "--out", str(out)]) == 0
+    urdf = out / "source/source/arm_description/urdf/arm.urdf"
+    asset = manifest.find(urdf)
+    assert asset is not None
+    assert asset[0] == out / "manifest.json"
+    assert main(["realize", str(urdf), "--out", str(out)]) == 0
+
+
+def test_of_an_asset_inside_a_delivery_the_outer_manifest_counts(intake: Path) -> None:
+    out = intake.parent / "again"
+    assert main(["intake", str(intake), "--out", str(out)]) == 0
+    asset = manifest.find(out / "source/source/arm_description/urdf/arm.urdf")
+    assert asset is not None
+    assert asset[0] == out / "manifest.json"
 
 
 def test_a_twin_of_the_source_urdf_keeps_the_asset_too(intake: Path, tmp_path: Path) -> None:
