@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -51,6 +50,7 @@ from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import camera_unit, is_subset, starts
 from pytest_twin.calibration.wrong_scale import wrong_scale
 from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
 GROSS_RATIO = 6.0
@@ -111,7 +111,7 @@ def calibrate_file(
             "observations", "no observations", expected="observations: observations.csv"
         )
     with contextlib.ExitStack() as stack:
-        place = folder or stack.enter_context(tempfile.TemporaryDirectory())
+        place = folder or stack.enter_context(temporary_folder())
         document = _calibrate_observations(found, Path(place), told)
         document["basis"] = calibration_basis(found, document["inputs"], record_folder)
         return document

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.asset_chain import chain_of, changes_since, lost_manifests
 from pytest_twin.provenance.released_files import copy_release, release_folder
 from pytest_twin.realization.sandbox import Sandbox
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     stated = _stamped_release(dataset, found, root)
     folder = release_folder(root, stated.number)
     with (
-        tempfile.TemporaryDirectory(prefix="twin-") as scratch,
+        temporary_folder() as scratch,
         Sandbox() as sandbox,
         Progress("comparing"),
     ):

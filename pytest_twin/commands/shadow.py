@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.provenance.released_files import copy_release, read_authentic_now
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.text import printable
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     release = read_authentic_now(folder)
     root = folder.absolute().parent.parent
     with (
-        tempfile.TemporaryDirectory(prefix="twin-") as scratch,
+        temporary_folder() as scratch,
         Sandbox(seconds=_SECONDS) as sandbox,
         Progress("simulating"),
     ):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, cast
@@ -14,6 +13,7 @@ from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Region
 from pytest_twin.formats.ros_serialization import Integers
+from pytest_twin.formats.temporary import temporary_file
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BLOCK_BYTES = 4 * 2**20
@@ -87,7 +87,7 @@ def decompressed_file(stream: BinaryIO, path: Path) -> Iterator[BinaryIO]:
     packed_bytes = stream.seek(0, 2)
     stream.seek(0)
     bound = min(limits.MCAP.file_bytes, limits.MCAP.unpacked_bytes_of(packed_bytes))
-    with tempfile.NamedTemporaryFile(prefix="pytest-twin-") as out:
+    with temporary_file() as (unpacked, _), unpacked.open("w+b") as out:
         written = 0
         decompressor = zstandard.ZstdDecompressor(max_window_size=2**27)
         try:

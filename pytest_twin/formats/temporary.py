@@ -46,15 +46,16 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def temporary_file(parent: Path) -> Iterator[tuple[Path, int]]:
+def temporary_file(parent: Path | None = None) -> Iterator[tuple[Path, int]]:
     """Context with a new file and its descriptor; the file is deleted if it is still there.
 
     Args:
-        parent: existing folder for it.
+        parent: existing folder for it; the system's folder for temporary files if None.
 
     Raises:
         OSError: it cannot be created.
     """
+    parent = Path(tempfile.gettempdir() if parent is None else parent)
     sweep(parent)
     while True:
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=parent)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from pytest_twin.checks.poses import Configurations
 from pytest_twin.errors import ModelError, SpecError, TwinError
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.properties.form import (
     Form,
     mujoco_form,
@@ -167,9 +167,9 @@ def _of_urdf(
     from pytest_twin.realization.usd import UsdMissingError
 
     left_out: list[str] = []
-    with tempfile.TemporaryDirectory(prefix="pytest-twin-") as folder:
+    with temporary_folder() as folder:
         located = locate(path, search=SearchFolders(packages=packages))
-        made = normalize(path, Path(folder), located=located, accept=accept)
+        made = normalize(path, folder, located=located, accept=accept)
         for flag in made.flags:
             if flag.patch and flag.critical:
                 raise ModelError(

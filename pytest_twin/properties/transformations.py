@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.metrics.pose import orientation_error, position_error
 from pytest_twin.properties import trees
 from pytest_twin.properties.agreement import Q, matrix_of
@@ -92,8 +91,8 @@ def _import(form: Form, key: str, change: Any) -> _Imported:
     known = _made.setdefault(form, {})
     if key not in known:
         text = trees.urdf_text(change(trees.tree_of(form.model)))
-        with tempfile.TemporaryDirectory(prefix="pytest-twin-") as folder:
-            path = Path(folder) / "robot.urdf"
+        with temporary_folder() as folder:
+            path = folder / "robot.urdf"
             path.write_text(text, encoding="utf-8")
             forms = (mujoco_form(path), pinocchio_form(path))
         floating = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())

@@ -13,7 +13,6 @@ import selectors
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import weakref
@@ -24,6 +23,7 @@ from typing import Any, Self
 
 from pytest_twin import errors
 from pytest_twin.errors import LimitError, SimulationError, TwinError
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.confinement import confined_command, confined_environment
 from pytest_twin.realization.import_path import import_path
 
@@ -268,10 +268,9 @@ class _Child:
             str(answer_write),
             str(sandbox.memory_bytes),
         ]
-        scratch = None
+        scratch = contextlib.ExitStack()
         if sandbox.confined_to is not None:
-            scratch = tempfile.TemporaryDirectory(prefix="twin-", ignore_cleanup_errors=True)
-            place = Path(scratch.name)
+            place = scratch.enter_context(temporary_folder())
             command = confined_command(command, imports, sandbox.confined_to, place, sandbox.write)
             environment = confined_environment(environment, place)
         try:
@@ -334,7 +333,7 @@ class _Child:
 def _end(
     process: subprocess.Popen[bytes],
     descriptors: tuple[int, ...],
-    scratch: tempfile.TemporaryDirectory[str] | None,
+    scratch: contextlib.ExitStack,
 ) -> None:
     for descriptor in descriptors:
         with contextlib.suppress(OSError):
@@ -342,8 +341,7 @@ def _end(
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    if scratch is not None:
-        scratch.cleanup()
+    scratch.close()
 
 
 def _error_from_json(answer: Mapping[str, Any]) -> TwinError:

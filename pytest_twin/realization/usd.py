@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.errors import ModelError, TwinError
+from pytest_twin.formats.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from pytest_twin.realization.urdf import Joint
@@ -111,11 +112,11 @@ def convert(urdf: Path, target: Path) -> None:
     import urdf_usd_converter
     from pxr import Sdf, Tf
 
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".twin-usd-") as folder:
+    with temporary_folder(target.parent) as folder:
         try:
-            with _suppress_output(), _temporary(folder):
+            with _suppress_output(), _temporary(str(folder)):
                 made = urdf_usd_converter.Converter(layer_structure=False).convert(
-                    str(urdf), folder
+                    str(urdf), str(folder)
                 )
         except (ValueError, RuntimeError, TypeError, KeyError, Tf.ErrorException) as error:
             words = " ".join(str(error).split())[:300]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,6 +22,7 @@ from securesystemslib.signer import CryptoSigner, Key, SSlibKey
 from pytest_twin.errors import PathError, ReleaseError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
+from pytest_twin.formats.temporary import temporary_file, temporary_folder
 from pytest_twin.release.envelope import short_key_id
 from pytest_twin.release.folder import refuse_link
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
@@ -163,8 +162,7 @@ def trust_first(root: Path, signer: CryptoSigner) -> str:
     try:
         with contextlib.suppress(OSError):
             folder.rmdir()
-        staging = Path(tempfile.mkdtemp(prefix=f".{FOLDER}-", dir=root))
-        try:
+        with temporary_folder(root) as staging:
             staging.chmod(0o755)
             (staging / name).write_bytes(public_pem(signer))
             if not atomic.create_directory(staging, folder):
@@ -172,8 +170,6 @@ def trust_first(root: Path, signer: CryptoSigner) -> str:
                     require_trusted(signer, trusted, root)
                 else:
                     atomic.write_bytes(folder / name, public_pem(signer))
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
     except OSError as error:
         raise PathError(f"cannot be written: {error.strerror}", path=folder) from None
     return f"first release: this twin now trusts {folder / name}; commit this file"
@@ -203,18 +199,13 @@ def _create(path: Path) -> None:
     """Create a key that only its owner can read; if two processes create one, the first is kept."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "wb") as stream:
+        with contextlib.suppress(FileExistsError), temporary_file(path.parent) as (new, descriptor):
+            new.chmod(0o600)
+            with os.fdopen(os.dup(descriptor), "wb") as stream:
                 stream.write(CryptoSigner.generate_ed25519().private_bytes)
                 stream.flush()
                 os.fsync(stream.fileno())
-            Path(temporary).chmod(0o600)
             # A hard link fails if the name exists; a rename would overwrite the file.
-            path.hardlink_to(temporary)
-        except FileExistsError:
-            pass
-        finally:
-            Path(temporary).unlink(missing_ok=True)
+            path.hardlink_to(new)
     except OSError as error:
         raise PathError(f"no signing key can be created: {error.strerror}", path=path) from None

@@ -6,21 +6,18 @@ import hashlib
 import json
 import os
 import secrets
-import shutil
-import tempfile
-import time
 from collections.abc import Callable
-from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
 
 from securesystemslib.signer import CryptoSigner
 
-from pytest_twin.errors import PathError, ReleaseError
+from pytest_twin.errors import ReleaseError, cannot_write
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.file_names import portable_paths
 from pytest_twin.formats.paths import open_regular
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.release import accepted_releases, statement
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
@@ -29,9 +26,6 @@ from pytest_twin.release.envelope import seal
 from pytest_twin.release.statement import Draft, FileEntry, Header, Previous, Release
 from pytest_twin.release.verify import ENVELOPE, FILES, REPORT, RESULTS, judge
 
-_STAGING = ".staging-"
-_STALE_SECONDS = 3600.0
-"""Age above which the temporary folder of another run is removed."""
 _BLOCK_BYTES = 2**20
 """Number of bytes that are copied at once."""
 
@@ -70,22 +64,16 @@ def write(
     header = _header(root, releases, draft, signer, now or datetime.now(UTC))
     try:
         releases.mkdir(exist_ok=True)
-        _remove_old_staging(releases)
-        staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=releases))
+        with temporary_folder(releases) as staging:
+            release = _write_staged(staging, root, draft, header, signer, report)
+            _check_staged(staging, release, header)
+            notes = [trusted_keys.trust_first(root, signer)] if first else []
+            # The temporary folder can only be read by its owner.
+            staging.chmod(0o755)
+            if not atomic.create_directory(staging, releases / f"{header.number:04d}"):
+                raise _concurrent_release(header.number, releases)
     except OSError as error:
-        raise PathError(f"cannot be written: {error.strerror}", path=releases) from None
-    try:
-        release = _write_staged(staging, root, draft, header, signer, report)
-        _check_staged(staging, release, header)
-        notes = [trusted_keys.trust_first(root, signer)] if first else []
-        # mkdtemp creates a folder that only its owner can read.
-        staging.chmod(0o755)
-        if not atomic.create_directory(staging, releases / f"{header.number:04d}"):
-            raise _concurrent_release(header.number, releases)
-    except OSError as error:
-        raise PathError(f"cannot be written: {error.strerror or error}", path=releases) from None
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        raise cannot_write(error, releases) from None
     note = accepted_releases.remember(header.series, header.number)
     return release, (*notes, *([note] if note else []))
 
@@ -244,12 +232,3 @@ def _check_staged(staging: Path, release: Release, header: Header) -> None:
             path=staging,
             expected="files that no other process changes; run pytest --twin-release again",
         )
-
-
-def _remove_old_staging(releases: Path) -> None:
-    """Remove temporary folders of interrupted writes that are older than an hour."""
-    for path in releases.glob(f"{_STAGING}*"):
-        # Another process may have finished its release since the folder was listed.
-        with suppress(FileNotFoundError):
-            if not path.is_symlink() and time.time() - path.stat().st_mtime > _STALE_SECONDS:
-                shutil.rmtree(path, ignore_errors=True)
