@@ -89,7 +89,8 @@ DISK_ERRORS = frozenset({errno.ENOSPC, errno.EROFS, errno.EDQUOT})
 
 def of_system(error: OSError) -> PathError:
     """Error for a refusal of the operating system, with its own words and the file."""
-    return PathError(error.strerror or str(error), path=error.filename)
+    # A copy that fails names its target second.
+    return PathError(error.strerror or str(error), path=error.filename2 or error.filename)
 
 
 def cannot_write(error: OSError, path: Path | str | None = None) -> PathError:
@@ -99,7 +100,10 @@ def cannot_write(error: OSError, path: Path | str | None = None) -> PathError:
         error: error of the system; it names the file unless ``path`` does.
         path: the file or folder.
     """
-    return PathError(f"cannot be written: {error.strerror or error}", path=path or error.filename)
+    return PathError(
+        f"cannot be written: {error.strerror or error}",
+        path=path or error.filename2 or error.filename,
+    )
 
 
 class SpecError(TwinError):

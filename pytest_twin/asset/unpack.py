@@ -20,7 +20,14 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, BinaryIO
 
-from pytest_twin.errors import FormatError, LimitError, PathError, TwinError
+from pytest_twin.errors import (
+    DISK_ERRORS,
+    FormatError,
+    LimitError,
+    PathError,
+    TwinError,
+    cannot_write,
+)
 from pytest_twin.formats.paths import open_regular
 
 _BLOCK = 2**20
@@ -78,7 +85,11 @@ def unpack(origin: str, folder: str, limits: IntakeLimits = LIMITS) -> list[str]
         raise
     except (tarfile.TarError, zipfile.BadZipFile, EOFError, zlib.error, lzma.LZMAError) as error:
         raise FormatError(f"a damaged archive: {_words(error)}", path=path) from None
-    except (NotImplementedError, RuntimeError, ValueError, OSError) as error:
+    except OSError as error:
+        if error.errno in DISK_ERRORS:
+            raise cannot_write(error, folder) from None
+        raise FormatError(f"an archive that cannot be read: {_words(error)}", path=path) from None
+    except (NotImplementedError, RuntimeError, ValueError) as error:
         raise FormatError(f"an archive that cannot be read: {_words(error)}", path=path) from None
     if not target.names:
         raise FormatError("it contains no file", path=path, expected="a robot's files")

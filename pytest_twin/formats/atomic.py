@@ -50,6 +50,23 @@ def make_folder(path: Path) -> None:
         raise cannot_write(error, path) from None
 
 
+@contextlib.contextmanager
+def folder_in_use(path: Path) -> Iterator[None]:
+    """Context with a folder; it and its parents, as far as created here, go if they stay empty.
+
+    Raises:
+        PathError: as :func:`make_folder`.
+    """
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    make_folder(path)
+    try:
+        yield
+    finally:
+        for folder in missing:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path`` atomically.
 

@@ -57,8 +57,9 @@ def result_folder(
             written.
     """
     folder = folder.absolute()
-    made = _make(folder)
-    try:
+    if folder.exists() and not folder.is_dir():
+        raise PathError("is not a folder", path=folder, expected="a folder or nothing for --out")
+    with atomic.folder_in_use(folder):
         with _locked(folder):
             finish(folder)
             written = _read(folder)
@@ -74,10 +75,6 @@ def result_folder(
             with _locked(folder):
                 finish(folder)
                 _put_in_place(folder, staging, main, replaceable)
-    finally:
-        for parent in made:
-            with contextlib.suppress(OSError):
-                parent.rmdir()
 
 
 def finish(folder: Path) -> None:
@@ -179,15 +176,6 @@ def _check_empty(folder: Path) -> None:
                 path=folder,
                 expected="a new folder for --out, or that of an earlier result of this command",
             )
-
-
-def _make(folder: Path) -> list[Path]:
-    """Create a folder and its missing parents, and return those created, the innermost first."""
-    if folder.exists() and not folder.is_dir():
-        raise PathError("is not a folder", path=folder, expected="a folder or nothing for --out")
-    missing = [path for path in (folder, *folder.parents) if not path.exists()]
-    atomic.make_folder(folder)
-    return missing
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -84,22 +84,16 @@ def restore(root: Path, folder: Path | None = None, *, now: datetime | None = No
         return Rollback(release.twin, release.number, (), notes=notes)
     pending = root / PENDING_ROLLBACK
     file_set.check_folders(root, f"{REPLACED}/copy")
-    atomic.make_folder(pending.parent)
-    with temporary.temporary_folder(pending.parent) as staging:
-        new = staging / file_set.NEW
-        try:
-            copy_files(release, folder, new)
-            for change in changes:
-                (new / change.path).chmod(atomic.mode_for(root / change.path))
-                if change.before is not None:
-                    _copy(root / change.path, staging / _COPIES / change.path)
-        except OSError as error:
-            raise cannot_write(error, staging) from None
-        facts = {
-            "twin": release.twin,
-            "release": release.number,
-            "copies": now.strftime("%Y%m%dT%H%M%SZ"),
-        }
+    facts = {
+        "twin": release.twin,
+        "release": release.number,
+        "copies": now.strftime("%Y%m%dT%H%M%SZ"),
+    }
+    with (
+        atomic.folder_in_use(pending.parent),
+        temporary.temporary_folder(pending.parent) as staging,
+    ):
+        _stage(root, staging, changes, release, folder)
         file_set.begin(staging, pending, ChangeSet(changes, FILE_NAME, False, facts))
         done = _complete(root, pending)
     return Rollback(done.twin, done.number, done.changes, done.copies, notes)
@@ -122,6 +116,21 @@ def resume(root: Path) -> Rollback | None:
                 "another rollback is running", path=pending, expected="one at a time"
             )
         return _complete(root, pending)
+
+
+def _stage(
+    root: Path, staging: Path, changes: Iterable[FileChange], release: Release, folder: Path
+) -> None:
+    """Copy the new files, and the files that they will replace, into a staging folder."""
+    new = staging / file_set.NEW
+    copy_files(release, folder, new)
+    try:
+        for change in changes:
+            (new / change.path).chmod(atomic.mode_for(root / change.path))
+            if change.before is not None:
+                _copy(root / change.path, staging / _COPIES / change.path)
+    except OSError as error:
+        raise cannot_write(error, staging) from None
 
 
 def _complete(root: Path, pending: Path) -> Rollback:
