@@ -13,6 +13,7 @@ from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.errors import TwinError
+from pytest_twin.formats import results
 from pytest_twin.formats.paths import read_bytes
 
 _AUDIT = (".audit.html", ".audit.json")
@@ -42,7 +43,7 @@ def own_files(folder: Path, names: Iterable[str]) -> set[str]:
     own: set[str] = set()
     for name in listed:
         path = PurePosixPath(name)
-        if name.endswith(_AUDIT) or _LOCAL in path.parts:
+        if name.endswith(_AUDIT) or _LOCAL in path.parts or path.name == results.MANIFEST:
             own.add(name)
         elif path.name == _RELEASE:
             own |= {other for other in listed if PurePosixPath(other).is_relative_to(path.parent)}

@@ -1,17 +1,16 @@
-"""Move the files of a realization to their folder, the manifest last."""
+"""Add the manifest to the files of a realization."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.asset.manifest import Manifest, State
-from pytest_twin.asset.normalize import MESH_FOLDER
 from pytest_twin.errors import PathError
 from pytest_twin.formats.digest import file_sha256
 
@@ -30,67 +29,29 @@ def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
     return known
 
 
-def put_in_place(staging: Path, out: Path, source: Path, made: dict[str, Any]) -> None:
-    """Move the files of ``staging`` to ``out`` and write the manifest.
-
-    Files of an earlier run that are no longer produced are deleted. Other files in the folder
-    are not changed.
+def complete(staging: Path, out: Path, source: Path, made: dict[str, Any]) -> None:
+    """Add the manifest, and the supplier's files that it lists, to the files of a realization.
 
     Args:
         staging: folder with the new files.
-        out: target folder.
+        out: folder of the asset, to which they will be moved.
         source: the source URDF.
         made: result of ``realize``; its key ``manifest`` is set here.
 
     Raises:
-        PathError: a file would overwrite the source or an edit, or a link has its name.
+        PathError: a file would overwrite the source, or ``out`` has another asset.
     """
-    files = sorted(path for path in staging.rglob("*") if path.is_file())
-    targets = {out / path.relative_to(staging): path for path in files}
-    if source in targets:
+    names = sorted(p.relative_to(staging).as_posix() for p in staging.rglob("*") if p.is_file())
+    if any(out / name == source for name in names):
         raise PathError(
             "the source would be overwritten", path=source, expected="another folder for --out"
         )
-    for target in targets:
-        if target.is_symlink() or target.is_dir():
-            raise PathError(
-                "is a link or a folder where a file has to be written",
-                path=target,
-                expected="nothing, or a regular file: move it, or give another folder for --out",
-            )
-    old = _before(out)
-    _require_no_edits(out, old, targets)
-    listed, copied = _manifest(out, source, made, old, targets)
-    written = {
-        name
-        for state in ("normalized", "realization")
-        if old is not None and state in old.states
-        for name in (*old.states[state].files, *old.states[state].facts.get(manifest.REPORTS, ()))
-    }
-    for target, path in targets.items():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        path.replace(target)
-    for name in written - {target.relative_to(out).as_posix() for target in targets}:
-        obsolete = out / name
-        if obsolete.parent.resolve() in (out, out / MESH_FOLDER) and obsolete.is_file():
-            obsolete.unlink()
+    listed, copied = _manifest(out, source, made, _before(out), names)
     for name, path in copied.items():
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(path, out / name)
-    manifest.write(out / manifest.FILE_NAME, listed)
+        (staging / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, staging / name)
+    manifest.write(staging / manifest.FILE_NAME, listed)
     made["manifest"] = json.loads(listed.to_text())
-
-
-def _require_no_edits(out: Path, old: Manifest | None, targets: Collection[Path]) -> None:
-    """Check that no file of an earlier run was changed by hand: it would be overwritten."""
-    edited = [] if old is None else manifest.changes_of_generated(out / manifest.FILE_NAME, old)
-    for change in edited:
-        if out / change.file in targets and (out / change.file).exists():
-            raise PathError(
-                f"{change} after the last realize, and would be overwritten",
-                path=out / change.file,
-                expected="another folder for --out, or the file moved away",
-            )
 
 
 def _before(out: Path) -> Manifest | None:
@@ -103,7 +64,7 @@ def _manifest(
     source: Path,
     made: Mapping[str, Any],
     old: Manifest | None,
-    targets: Iterable[Path],
+    names: Iterable[str],
 ) -> tuple[Manifest, dict[str, Path]]:
     """Return the new manifest, and the files of the source that have to be copied to ``out``."""
     known = frozen_source(source)
@@ -136,7 +97,6 @@ def _manifest(
         states[name] = State(content["files"], facts)
         link = manifest.link_to(name, states[name], content["files"])
     in_a_state = {file for state in states.values() for file in state.files}
-    names = sorted(target.relative_to(out).as_posix() for target in targets)
     reports = [name for name in names if name not in in_a_state]
     states["normalized"] = State(
         states["normalized"].files, {**states["normalized"].facts, manifest.REPORTS: reports}

@@ -78,22 +78,26 @@ class Solution:
 
 
 def calibrate_file(
-    plan: str, progress: Callable[[float], None] | None = None, folder: str | None = None
+    plan: str,
+    progress: Callable[[float], None] | None = None,
+    folder: str | None = None,
+    record_folder: str | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``calibration.json`` for the plan in a file.
 
     Args:
         plan: path of the plan.
         progress: called with the fraction done, 0 to 1.
-        folder: folder, inside that of the record, that keeps observations and images of
-            recordings; by default they are deleted.
+        folder: folder that keeps observations and images of recordings; by default they are
+            deleted.
+        record_folder: folder that the record will be in; by default that of the plan.
 
     Raises:
         TwinError: the input cannot be used.
     """
     told = progress or (lambda fraction: None)
     found = load_plan(Path(plan))
-    record_folder = found.path.parent if folder is None else Path(folder).parent
+    record_in = Path(record_folder or found.path.parent)
     if found.streams:
         if found.has_free_scale:
             raise found.error(
@@ -104,7 +108,7 @@ def calibrate_file(
             )
         document = calibrate_streams(found)
         document["inputs"] = _inputs(found, [found.path, *found.streams.values()])
-        document["basis"] = calibration_basis(found, document["inputs"], record_folder)
+        document["basis"] = calibration_basis(found, document["inputs"], record_in)
         return document
     if not found.observations:
         raise found.error(
@@ -113,7 +117,7 @@ def calibrate_file(
     with contextlib.ExitStack() as stack:
         place = folder or stack.enter_context(temporary_folder())
         document = _calibrate_observations(found, Path(place), told)
-        document["basis"] = calibration_basis(found, document["inputs"], record_folder)
+        document["basis"] = calibration_basis(found, document["inputs"], record_in)
         return document
 
 

@@ -84,7 +84,11 @@ def run(args: argparse.Namespace) -> int:
     ):
         document = sandbox.call(
             "pytest_twin.calibration.run:calibrate_file",
-            {"plan": str(plan.absolute()), "folder": str(staging / OBSERVATIONS)},
+            {
+                "plan": str(plan.absolute()),
+                "folder": str(staging / OBSERVATIONS),
+                "record_folder": str(out.absolute()),
+            },
             progress=progress,
         )
         exports = sandbox.call(

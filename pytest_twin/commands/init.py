@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.asset.manifest import Manifest
-from pytest_twin.commands import folders, json_output, model_files
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -143,7 +143,7 @@ def _set_up(
         seen = sandbox.call(
             "pytest_twin.setup.inspection:inspect_model", {"model": str(robot), **search}
         )
-        folders.make(folder)
+        atomic.make_folder(folder)
         brought = copy_into_twin(
             RobotFiles(
                 robot,

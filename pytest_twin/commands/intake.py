@@ -5,17 +5,15 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
-import shutil
-import tempfile
 from pathlib import Path
 
 from pytest_twin.asset import evidence, manifest
 from pytest_twin.asset.manifest import Manifest, State
-from pytest_twin.commands import folders, json_output
+from pytest_twin.commands import json_output
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import results
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.words import counted
@@ -77,45 +75,38 @@ def run(args: argparse.Namespace) -> int:
             expected=f"a folder outside {origin} for --out",
         )
     date = _date(args.date)
-    folders.make(out)
-    staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
-    try:
-        with (
-            Sandbox(memory_bytes=_MEMORY_BYTES, seconds=_SECONDS) as sandbox,
-            Progress("unpacking"),
-        ):
-            names = sandbox.call(
-                "pytest_twin.asset.unpack:unpack",
-                {"origin": str(origin.resolve()), "folder": str(staging)},
-            )
-            found = sandbox.call("pytest_twin.asset.evidence:sort_folder", {"folder": str(staging)})
-        staging.chmod(0o755)
-        if not atomic.create_directory(staging, out / SOURCE):
-            raise SpecError(
-                "the folder of the source exists already",
-                path=out / SOURCE,
-                expected="a new folder: give another one for --out",
-            )
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-    lacking = evidence.missing(found) + ([] if args.supplier else ["supplier"])
-    command = ["pytest-twin", "intake", origin.resolve().name, "--out", "DIR"]
-    facts = {
-        "made": manifest.made_by(command),
-        "folder": SOURCE,
-        "supplier": args.supplier,
-        "received": date,
-        "origin": {
-            "name": origin.resolve().name,
-            "sha256": file_sha256(origin.resolve()) if origin.is_file() else None,
-        },
-        "evidence": {kind: [f"{SOURCE}/{file}" for file in files] for kind, files in found.items()},
-        "missing": lacking,
-    }
-    files = {f"{SOURCE}/{file}": file_sha256(out / SOURCE / file) for file in names}
-    state = State(files, facts)
-    written = Manifest(name, {"source": state})
-    manifest.write(out / manifest.FILE_NAME, written)
+    with (
+        results.result_folder(out, manifest.FILE_NAME) as staging,
+        Sandbox(memory_bytes=_MEMORY_BYTES, seconds=_SECONDS) as sandbox,
+        Progress("unpacking"),
+    ):
+        source = staging / SOURCE
+        source.mkdir()
+        names = sandbox.call(
+            "pytest_twin.asset.unpack:unpack",
+            {"origin": str(origin.resolve()), "folder": str(source)},
+        )
+        found = sandbox.call("pytest_twin.asset.evidence:sort_folder", {"folder": str(source)})
+        lacking = evidence.missing(found) + ([] if args.supplier else ["supplier"])
+        command = ["pytest-twin", "intake", origin.resolve().name, "--out", "DIR"]
+        facts = {
+            "made": manifest.made_by(command),
+            "folder": SOURCE,
+            "supplier": args.supplier,
+            "received": date,
+            "origin": {
+                "name": origin.resolve().name,
+                "sha256": file_sha256(origin.resolve()) if origin.is_file() else None,
+            },
+            "evidence": {
+                kind: [f"{SOURCE}/{file}" for file in files] for kind, files in found.items()
+            },
+            "missing": lacking,
+        }
+        files = {f"{SOURCE}/{file}": file_sha256(source / file) for file in names}
+        state = State(files, facts)
+        written = Manifest(name, {"source": state})
+        manifest.write(staging / manifest.FILE_NAME, written)
     json_output.give(args, json.loads(written.to_text()))
     _tell(out, found, lacking, state)
     return DONE

@@ -5,17 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.asset import manifest
-from pytest_twin.asset.placement import frozen_source, put_in_place
-from pytest_twin.commands import folders, json_output, model_files
+from pytest_twin.asset import manifest, placement
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
+from pytest_twin.formats import results
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.words import counted
 
@@ -68,36 +66,35 @@ def run(args: argparse.Namespace) -> int:
             raise SpecError(
                 "not a named patch", where="--accept", value=patch, expected="inertia-repair:LINK"
             )
-    frozen_source(source)
+    placement.frozen_source(source)
     out: Path = args.out.resolve()
-    folders.make(out)
-    staging = Path(tempfile.mkdtemp(prefix=".twin-", dir=out))
-    try:
-        with Sandbox() as sandbox, Progress("realizing") as progress:
-            made = sandbox.call(
-                "pytest_twin.asset.realize:realize",
-                {
-                    "source": str(source),
-                    "folder": str(staging),
-                    "accept": args.accept,
-                    **model_files.search_folders(args),
-                },
-                progress=progress,
-            )
-            put_in_place(staging, out, source, made)
-            normalized = out / source.name
-            if normalized.is_file():
-                known = "\n".join(made["critical"])
-                made["critical"] += [
-                    line
-                    for line in sandbox.call(
-                        "pytest_twin.audit.run:critical_findings", {"path": str(normalized)}
-                    )
-                    # Each note of the conversion is listed once.
-                    if not any(word in known for word in re.findall(r"'([^']+)'", line))
-                ]
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+    with (
+        results.result_folder(out, manifest.FILE_NAME, stays=manifest.SOURCE_FOLDER) as staging,
+        Sandbox() as sandbox,
+        Progress("realizing") as progress,
+    ):
+        made = sandbox.call(
+            "pytest_twin.asset.realize:realize",
+            {
+                "source": str(source),
+                "folder": str(staging),
+                "accept": args.accept,
+                **model_files.search_folders(args),
+            },
+            progress=progress,
+        )
+        normalized = staging / source.name
+        if normalized.is_file():
+            known = "\n".join(made["critical"])
+            made["critical"] += [
+                results.as_placed(line, staging)
+                for line in sandbox.call(
+                    "pytest_twin.audit.run:critical_findings", {"path": str(normalized)}
+                )
+                # Each note of the conversion is listed once.
+                if not any(word in known for word in re.findall(r"'([^']+)'", line))
+            ]
+        placement.complete(staging, out, source, made)
     json_output.give(args, made)
     _tell(args.out, made)
     return CRITICAL if made["critical"] else CLEAN

@@ -46,6 +46,10 @@ def make_folder(path: Path) -> None:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise PathError(
+            "is not a folder, or inside a file", path=path, expected="a folder or nothing"
+        ) from None
     except OSError as error:
         raise cannot_write(error, path) from None
 

@@ -39,7 +39,12 @@ class _Written:
 
 @contextlib.contextmanager
 def result_folder(
-    folder: Path, main: str, *, replaceable: Collection[str] = (), alone: bool = False
+    folder: Path,
+    main: str,
+    *,
+    replaceable: Collection[str] = (),
+    stays: str | None = None,
+    alone: bool = False,
 ) -> Iterator[Path]:
     """Context with an empty folder; what it contains at the end becomes the result in ``folder``.
 
@@ -50,6 +55,7 @@ def result_folder(
         main: name of the main file, which identifies the result in its folder.
         replaceable: names that the user stated on the command line, which are replaced whoever
             wrote them.
+        stays: folder in it whose files of earlier results are not removed.
         alone: whether a folder with files of others and without an earlier result is refused.
 
     Raises:
@@ -57,13 +63,11 @@ def result_folder(
             written.
     """
     folder = folder.absolute()
-    if folder.exists() and not folder.is_dir():
-        raise PathError("is not a folder", path=folder, expected="a folder or nothing for --out")
     with atomic.folder_in_use(folder):
         with _locked(folder):
             finish(folder)
             written = _read(folder)
-            _old_files(folder, written, main)
+            _old_files(folder, written, main, stays)
             if alone and not any(w.result == main for w in written.values()):
                 _check_empty(folder)
             if main not in written and main not in replaceable and (folder / main).exists():
@@ -74,7 +78,7 @@ def result_folder(
             yield new
             with _locked(folder):
                 finish(folder)
-                _put_in_place(folder, staging, main, replaceable)
+                _put_in_place(folder, staging, main, replaceable, stays)
 
 
 def finish(folder: Path) -> None:
@@ -112,7 +116,9 @@ def withdraw(folder: Path, main: str) -> None:
             raise cannot_write(error, folder) from None
 
 
-def _put_in_place(folder: Path, staging: Path, main: str, replaceable: Collection[str]) -> None:
+def _put_in_place(
+    folder: Path, staging: Path, main: str, replaceable: Collection[str], stays: str | None
+) -> None:
     written = _read(folder)
     new = staging / file_set.NEW
     after = {
@@ -120,7 +126,7 @@ def _put_in_place(folder: Path, staging: Path, main: str, replaceable: Collectio
         for path in sorted(new.rglob("*"))
         if path.is_file()
     }
-    before = _old_files(folder, written, main)
+    before = _old_files(folder, written, main, stays)
     for name, sha256 in after.items():
         file_set.check_folders(folder, name)
         digest = file_set.digest_of(folder / name)
@@ -148,15 +154,17 @@ def _put_in_place(folder: Path, staging: Path, main: str, replaceable: Collectio
     finish(folder)
 
 
-def _old_files(folder: Path, written: Mapping[str, _Written], main: str) -> dict[str, str]:
-    """Files of an earlier result that are still there -> SHA-256.
+def _old_files(
+    folder: Path, written: Mapping[str, _Written], main: str, stays: str | None = None
+) -> dict[str, str]:
+    """Files of an earlier result that are still there, other than those in ``stays`` -> SHA-256.
 
     Raises:
         PathError: one was edited.
     """
     old = {}
     for name, known in written.items():
-        if known.result != main:
+        if known.result != main or (stays is not None and name.startswith(f"{stays}/")):
             continue
         file_set.check_folders(folder, name)
         digest = file_set.digest_of(folder / name)

@@ -196,7 +196,7 @@ def test_an_output_path_that_is_a_file_is_refused_with_one_line(
         stderr = capsys.readouterr().err
         assert stderr.startswith(f"pytest-twin {command}: ")
         assert stderr.count("\n") == 1
-        assert "not a folder that can be written" in stderr
+        assert "is not a folder, or inside a file" in stderr
     assert (tmp_path / "file").read_text() == "kept"
 
 

@@ -445,7 +445,7 @@ def test_an_edited_file_is_not_overwritten_by_realize(
     edited = (intake / "arm.xml").read_bytes()
     words = ["realize", str(intake / "source/arm_description/urdf/arm.urdf"), "--out", str(intake)]
     assert main(words) == 2
-    assert "arm.xml was changed after the last realize" in capsys.readouterr().err
+    assert "arm.xml: was written or changed by somebody else" in capsys.readouterr().err
     assert (intake / "arm.xml").read_bytes() == edited
     (intake / "arm.xml").unlink()
     assert main(words) == 0

@@ -270,4 +270,4 @@ def test_a_file_instead_of_the_output_folder_is_refused(
 ) -> None:
     path = write_clean(tmp_path)
     assert main(["audit", str(path), "--out", str(tmp_path / "bar.stl")]) == 2
-    assert "bar.stl: is not a folder (expected a folder or nothing" in capsys.readouterr().err
+    assert "bar.stl: is not a folder, or inside a file" in capsys.readouterr().err
