@@ -87,7 +87,7 @@ def views(
         _HEIGHT / max(height for _, height in sizes),
     )
     height = max(size[1] for size in sizes) * inch + 2 * _GAP
-    with mpl.rc_context({"text.parse_math": False, "font.size": 9}):
+    with mpl.rc_context({"text.parse_math": False, "text.usetex": False, "font.size": 9}):
         figure = plt.figure(figsize=(_WIDTH, height), dpi=130)
         free = _WIDTH - sum(width for width, _ in sizes) * inch
         left = free / 4

@@ -32,6 +32,8 @@ STYLE: dict[Any, Any] = {
     "text.color": INK,
     # Names come from files, so do not interpret dollar signs as formulas.
     "text.parse_math": False,
+    # A `matplotlibrc` in the working folder must not start LaTeX.
+    "text.usetex": False,
     "axes.edgecolor": DIM,
     "axes.labelcolor": DIM,
     "axes.linewidth": 0.6,

@@ -25,6 +25,7 @@ _PLUGINS = "pytest11"
 """Group of the entry points through which pytest finds installed plugins."""
 _PACKAGE = Path(__file__).parents[1]
 _OWN_DISTRIBUTION = "pytest-twin"
+_PYTEST_AND_OWN = frozenset({"pytest", "_pytest", "pluggy", "pytest_twin"})
 # pytest puts the parent of a package of tests on the import path; `test` is a usual name of one,
 # and only tests import the module of Python's library with this name.
 _FREE_NAMES = frozenset({"test"})
@@ -42,7 +43,7 @@ def process_code(config: pytest.Config, root: Path, tests: Collection[Path]) -> 
     loaded.update(path for path in _plugin_modules(config) if not is_installed(path))
     if config.inipath is not None:
         loaded.add(config.inipath)
-    files, parts, problems = {}, _plugin_parts(), []
+    files, parts, problems = {}, _plugin_parts(config), []
     for path in sorted(loaded):
         if path.is_relative_to(_PACKAGE):
             continue
@@ -86,28 +87,46 @@ def _plugin_modules(config: pytest.Config) -> Iterator[Path]:
 
 
 @functools.cache
-def _installed_plugins() -> tuple[Part, ...]:
-    modules: dict[str, list[str]] = {}
-    found: dict[str, metadata.Distribution] = {}
+def _entry_points() -> dict[str, tuple[metadata.Distribution, tuple[str, ...]]]:
+    """Name of each distribution with plugins of pytest -> the distribution, its plugin modules."""
+    found: dict[str, tuple[metadata.Distribution, tuple[str, ...]]] = {}
     for point in metadata.entry_points(group=_PLUGINS):
         if point.dist is not None and point.dist.name != _OWN_DISTRIBUTION:
-            found[point.dist.name] = point.dist
-            modules.setdefault(point.dist.name, []).append(point.module)
-    return tuple(
-        Part(
-            f"{PLUGIN_LAYER}{name}",
-            {"version": found[name].version, "sha256": code_sha256(found[name], modules[name])},
-        )
-        for name in sorted(found)
+            modules = found.get(point.dist.name, (point.dist, ()))[1]
+            found[point.dist.name] = (point.dist, (*modules, point.module))
+    return found
+
+
+@functools.cache
+def _plugin_part(name: str) -> Part:
+    distribution, modules = _entry_points().get(name) or (metadata.distribution(name), ())
+    return Part(
+        f"{PLUGIN_LAYER}{name}",
+        {"version": distribution.version, "sha256": code_sha256(distribution, modules)},
     )
 
 
-def _plugin_parts() -> dict[str, Part]:
-    """Parts of the installed plugins, those that an option switches off included.
+def _plugin_parts(config: pytest.Config) -> dict[str, Part]:
+    """Parts of the distributions with plugins, those that an option switches off included.
 
     Options such as ``-p no:NAME`` must not make goldens stale.
     """
-    return {part.id: part for part in _installed_plugins()}
+    names = dict.fromkeys(_entry_points())
+    with_entry_point = {
+        module.partition(".")[0] for _, modules in _entry_points().values() for module in modules
+    }
+    tops = {
+        plugin.__name__.partition(".")[0]
+        for plugin in config.pluginmanager.get_plugins()
+        if isinstance(plugin, ModuleType)
+        and plugin.__file__
+        and is_installed(Path(plugin.__file__))
+    }
+    # Modules that the option -p names, in packages that declare no plugin.
+    if others := tops - with_entry_point - _PYTEST_AND_OWN:
+        packages = metadata.packages_distributions()
+        names.update(dict.fromkeys(name for top in others for name in packages.get(top, ())))
+    return {part.id: part for part in map(_plugin_part, sorted(names))}
 
 
 def _hiding_modules(config: pytest.Config, root: Path) -> Iterator[str]:
@@ -138,7 +157,7 @@ def _modules_in(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _is_of_the_gate(name: str, children: list[str]) -> bool:
-    if name in sys.stdlib_module_names or name in ("pytest_twin", "_pytest", "pytest"):
+    if name in sys.stdlib_module_names or name in _PYTEST_AND_OWN:
         return True
     spec = PathFinder.find_spec(name, children)
     return spec is not None and spec.origin is not None and name in _modules_of_the_gate()

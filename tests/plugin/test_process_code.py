@@ -41,7 +41,10 @@ def with_code(folder) -> None:
     """A twin with conftest.py, a module that it imports, a configuration and a test."""
     folder.write("conftest.py", HOOKS)
     folder.write("helper.py", "VALUE = 1\n")
-    folder.write("pytest.ini", "[pytest]\n# a comment\naddopts = -p local_plugin\npythonpath = .\n")
+    folder.write(
+        "pytest.ini",
+        "[pytest]\n# a comment\naddopts = -p local_plugin -p trimesh.util\npythonpath = .\n",
+    )
     folder.write("local_plugin.py", "")
     folder.write("tests/test_cell.py", "def test_cell():\n    pass\n")
 
@@ -50,14 +53,15 @@ def test_a_release_lists_conftest_modules_configuration_and_plugins(recorded) ->
     with_code(recorded)
     recorded.run_apart("--twin-release").assert_outcomes(passed=3)
     parts = released_parts(recorded)
-    assert parts["process:pytest.ini"]["options"]["addopts"] == "-p local_plugin"
+    assert parts["process:pytest.ini"]["options"]["addopts"] == "-p local_plugin -p trimesh.util"
     for name in ("conftest.py", "helper.py", "local_plugin.py"):
         assert len(parts[f"process:{name}"]["sha256"]) == 64
         assert (recorded.root / "releases/0001/files" / name).is_file()
     # A test module is listed, and a changed test makes no golden stale.
     assert "process:tests/test_cell.py" not in parts
     assert (recorded.root / "releases/0001/files/tests/test_cell.py").is_file()
-    assert set(parts["plugin:pytest-xdist"]) == {"version", "sha256"}
+    for name in ("pytest-xdist", "trimesh"):
+        assert set(parts[f"plugin:{name}"]) == {"version", "sha256"}
 
     assert stale(recorded) == []
     # Another selection and other options do not load the same code; the proof stands.
