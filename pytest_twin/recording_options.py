@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 from pytest_twin.signals import NO_SIGNALS, Signals
@@ -21,7 +22,7 @@ stamp to stamp. ``ramped``: linear from the stamp to one command period after it
 
 Base = Literal["fixed"]
 """``fixed``: a rig held the floating base of the robot in the pose that the model gives it."""
-Units = Literal["rad", "deg"]
+Units = Literal["rad", "deg", "percent"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
 COMMAND_MODES: tuple[CommandMode, ...] = get_args(CommandMode)
@@ -86,6 +87,7 @@ class RecordingOptions:
         columns: CSV files: header -> meaning of the column, or the reverse.
         units: unit of the angles, where the recording states none or a wrong one.
         time_unit: CSV files: unit of the times.
+        motor_calibration: LeRobot data sets: path of the JSON file of the arm's motors.
         signals: side of the gears, units and meaning of the joints' positions and efforts.
         base: what held the robot's floating base.
     """
@@ -98,6 +100,7 @@ class RecordingOptions:
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Units | None = None
     time_unit: TimeUnit | None = None
+    motor_calibration: str | None = None
     signals: Signals = NO_SIGNALS
     base: Base | None = None
 
@@ -129,10 +132,22 @@ class RecordingOptions:
             "columns": dict(self.columns),
             "units": self.units,
             "time_unit": self.time_unit,
+            "motor_calibration": self.motor_calibration,
             "signals": dict(self.signals.table),
             "base": self.base,
         }
         return {key: value for key, value in found.items() if value}
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """The options that readers take, as keyword arguments of ``read_recordings``."""
+        motors = self.motor_calibration
+        return {
+            "columns": self.columns,
+            "units": self.units,
+            "time_unit": self.time_unit,
+            "motor_calibration": None if motors is None else Path(motors),
+        }
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
@@ -146,6 +161,7 @@ class RecordingOptions:
             columns=dict(data.get("columns") or {}),
             units=data.get("units"),
             time_unit=data.get("time_unit"),
+            motor_calibration=data.get("motor_calibration"),
             signals=Signals.from_json(data.get("signals") or {}),
             base=data.get("base"),
         )

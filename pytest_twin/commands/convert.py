@@ -17,6 +17,7 @@ from pytest_twin.commands.recording_arguments import (
     add_reading_arguments,
     add_topics_argument,
     parse_trial,
+    reading_options,
 )
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import RecordingError, TwinError
@@ -27,7 +28,7 @@ from pytest_twin.formats.recordings import read_recordings
 from pytest_twin.formats.recordings.candidates import pairs, topics_option, what_to_do
 from pytest_twin.formats.ros_serialization import QUANTITIES
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.recording_options import COMMAND_MODES
+from pytest_twin.recording_options import COMMAND_MODES, RecordingOptions
 from pytest_twin.report.text import printable
 
 HELP = "write recordings of any kind as MCAP files with joint states and joint commands"
@@ -96,11 +97,7 @@ def run(args: argparse.Namespace) -> int:
                 "inputs": [str(path) for path in args.inputs],
                 "out": str(staging / out.name),
                 "topics": args.topics,
-                "reading": {
-                    "columns": args.columns,
-                    "units": args.units,
-                    "time_unit": args.time_unit,
-                },
+                "reading": reading_options(args),
                 "trial": args.trial,
                 "command_mode": args.command_mode,
             },
@@ -127,10 +124,11 @@ def convert_files(
     Returns:
         The content of the JSON file that accompanies the recordings.
     """
+    options = RecordingOptions.from_json(reading)
     recordings = [
         recording
         for path in inputs
-        for recording in read_recordings(Path(path), {**TOPICS, **topics}, **reading)
+        for recording in read_recordings(Path(path), {**TOPICS, **topics}, **options.reading)
     ]
     files = names_of(Path(out), len(recordings))
     written = []

@@ -115,8 +115,9 @@ def add_reading_arguments(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--units",
         choices=UNITS,
-        help="unit of angles and angular velocities, but for columns that state one (default: rad; "
-        "for a LeRobot data set the declared unit, else detected from the values and reported)",
+        help="unit of angles and angular velocities, but for columns that state one; percent (of "
+        "the calibrated range) for a LeRobot data set (default: rad; for a LeRobot data set the "
+        "declared unit, else detected from the values and reported)",
     )
     group.add_argument(
         "--time-unit",
@@ -124,6 +125,23 @@ def add_reading_arguments(group: argparse._ActionsContainer) -> None:
         help="for a CSV file: unit of its times (default: the heading's, else detected from dates "
         "and sampling rate and reported)",
     )
+    group.add_argument(
+        "--motor-calibration",
+        metavar="FILE.json",
+        type=Path,
+        help="for a LeRobot data set: the arm's motor calibration, which converts per cent of a "
+        "joint's range to angles",
+    )
+
+
+def reading_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of :func:`add_reading_arguments`, in the form for ``RecordingOptions``."""
+    return {
+        "columns": args.columns,
+        "units": args.units,
+        "time_unit": args.time_unit,
+        "motor_calibration": args.motor_calibration and str(args.motor_calibration),
+    }
 
 
 def recording_options(args: argparse.Namespace) -> dict[str, Any]:
@@ -133,9 +151,7 @@ def recording_options(args: argparse.Namespace) -> dict[str, Any]:
         "command_mode": args.command_mode,
         "clock": args.clock,
         "command_between": args.command_between,
-        "columns": args.columns,
-        "units": args.units,
-        "time_unit": args.time_unit,
+        **reading_options(args),
         "base": args.base,
     }
     return {key: value for key, value in given.items() if value}

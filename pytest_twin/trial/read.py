@@ -24,9 +24,7 @@ def recordings_at(
     Raises:
         TwinError: it cannot be read.
     """
-    return read_recordings(
-        path, topics, columns=options.columns, units=options.units, time_unit=options.time_unit
-    )
+    return read_recordings(path, topics, **options.reading)
 
 
 def recording_at(
@@ -48,9 +46,7 @@ def recording_at(
         TwinError: it cannot be read.
     """
     if episode is None:
-        return read_one(
-            path, topics, columns=options.columns, units=options.units, time_unit=options.time_unit
-        )
+        return read_one(path, topics, **options.reading)
     found = recordings_at(path, topics, options)
     if not 0 <= episode < len(found):
         last = len(found) - 1

@@ -36,6 +36,7 @@ def read_recordings(
     columns: Mapping[str, str] | None = None,
     units: str | None = None,
     time_unit: str | None = None,
+    motor_calibration: Path | None = None,
 ) -> list[Recording]:
     """Read joint states and commands from a recording of any format.
 
@@ -44,8 +45,10 @@ def read_recordings(
         topics: role (``state``, ``command``) -> topic, for formats with topics.
         columns: for a CSV file: header -> meaning of the column (``time``, ``elbow.position``),
             or the inverse mapping.
-        units: ``deg`` or ``rad``, if the recording states no unit or a wrong one.
+        units: ``deg`` or ``rad``, or for a LeRobot data set ``percent``, if the recording states no
+            unit or a wrong one.
         time_unit: for a CSV file: unit of its times.
+        motor_calibration: for a LeRobot data set: the JSON file of the arm's motors.
 
     Returns:
         one recording, or one for each episode of a data set.
@@ -56,8 +59,14 @@ def read_recordings(
         LimitError: the recording exceeds the limits of its format.
         RecordingError: the recording has no usable content.
     """
-    options = ReadingOptions(topics, columns or {}, units, time_unit)
-    found = list(reader_of(path).read(path, options))
+    reader = reader_of(path)
+    if "LeRobot" not in reader.kind and (motor_calibration is not None or units == "percent"):
+        raise FormatError(
+            "motor calibrations and per cent are of LeRobot data sets", path=path,
+            value=reader.kind, expected="no --motor-calibration, and --units rad or deg",
+        )  # fmt: skip
+    options = ReadingOptions(topics, columns or {}, units, time_unit, motor_calibration)
+    found = list(reader.read(path, options))
     return [_from_degrees(one) for one in found] if units == "deg" else found
 
 
@@ -83,13 +92,21 @@ def read_one(
     columns: Mapping[str, str] | None = None,
     units: str | None = None,
     time_unit: str | None = None,
+    motor_calibration: Path | None = None,
 ) -> Recording:
     """Read the single recording at a path.
 
     Raises:
         FormatError: the path is a data set of several episodes, or as :func:`read_recordings`.
     """
-    found = read_recordings(path, topics, columns=columns, units=units, time_unit=time_unit)
+    found = read_recordings(
+        path,
+        topics,
+        columns=columns,
+        units=units,
+        time_unit=time_unit,
+        motor_calibration=motor_calibration,
+    )
     if len(found) != 1:
         raise FormatError(
             "holds several recordings",

@@ -18,15 +18,17 @@ class ReadingOptions:
     Attributes:
         topics: role (``state``, ``command``) -> topic.
         columns: for a CSV file: header -> meaning of the column, or the inverse mapping.
-        units: ``deg`` or ``rad``, None for the unit of the format. Readers of formats that state
-            one leave the conversion to :func:`read_recordings`.
+        units: ``deg``, ``rad`` or ``percent`` (LeRobot), None for the unit of the format. Only the
+            reader of LeRobot data sets converts; :func:`read_recordings` does for the others.
         time_unit: for a CSV file: ``s``, ``ms``, ``us`` or ``ns``, or None to detect the unit.
+        motor_calibration: for a LeRobot data set: the JSON file of the arm's motors.
     """
 
     topics: Mapping[str, str] = field(default_factory=lambda: dict(TOPICS))
     columns: Mapping[str, str] = field(default_factory=dict)
     units: str | None = None
     time_unit: str | None = None
+    motor_calibration: Path | None = None
 
 
 class Reader(Protocol):

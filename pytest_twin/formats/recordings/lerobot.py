@@ -21,7 +21,8 @@ from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.formats.recording import JointSeries, Notes, Recording
 from pytest_twin.formats.recordings.base import ReadingOptions
-from pytest_twin.formats.recordings.lerobot_units import Unit, unit_of
+from pytest_twin.formats.recordings.lerobot_calibration import read_calibration
+from pytest_twin.formats.recordings.lerobot_units import Declared, Positions, Unit, unit_of
 from pytest_twin.formats.recordings.parquet import data_files, read_columns
 from pytest_twin.formats.ros_serialization import QUANTITIES, Floats, Integers
 
@@ -165,14 +166,7 @@ class _Dataset:
             )
         order = np.lexsort((table["frame_index"], table["episode_index"]))
         table = {name: values[order] for name, values in table.items()}
-        unit = unit_of(
-            self.options.units,
-            self.info,
-            [self.declared[column] for column in columns],
-            {c: table[c] for c in columns},
-            self.file,
-            self.notes,
-        )
+        unit = self.unit(columns, table)
         time = self.times(table)
         episode = table["episode_index"].astype(np.int64)
         first = np.flatnonzero(np.diff(episode, prepend=episode[0] - 1))
@@ -189,6 +183,34 @@ class _Dataset:
             self.episode(int(episode[begin]), slice(begin, end), table, time, unit, notes)
             for begin, end in zip(first.tolist(), ends, strict=True)
         ]
+
+    def unit(self, columns: Sequence[str], table: Mapping[str, Floats]) -> Unit:
+        """Return the unit of the positions, and note why.
+
+        Raises:
+            FormatError: it is not known, or the motor calibration is not one.
+        """
+        calibration = self.options.motor_calibration
+        declared = Declared(
+            asked=self.options.units,
+            motors={} if calibration is None else read_calibration(calibration),
+            info=self.info,
+            features=[self.declared[column] for column in columns],
+            file=self.file,
+        )
+        positions: dict[str, list[int]] = {
+            feature.column: [k for k, q in enumerate(feature.quantities) if q == "position"]
+            for feature in self.features.values()
+        }
+        return unit_of(
+            declared,
+            Positions(
+                {f.column: [f.names[k] for k in positions[f.column]]
+                 for f in self.features.values()},
+                {column: table[column][:, places] for column, places in positions.items()},
+            ),
+            self.notes,
+        )  # fmt: skip
 
     def episode(
         self,
@@ -220,8 +242,12 @@ class _Dataset:
             table = tables[quantity]
             if table is None:
                 table = tables[quantity] = np.full((len(time), len(names)), np.nan)
-            scale = 1.0 if quantity == "effort" else unit.scale
-            table[:, names.index(name)] = values[:, at] * scale
+            recorded = values[:, at]
+            if quantity == "position":
+                recorded = unit.angles(name, recorded)
+            elif quantity == "velocity":
+                recorded = unit.velocities(name, recorded)
+            table[:, names.index(name)] = recorded
         return JointSeries(
             topic=self.options.topics[role],
             names=names,
