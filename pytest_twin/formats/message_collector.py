@@ -15,6 +15,7 @@ from pytest_twin.formats.joint_state import SCHEMA_NAME
 from pytest_twin.formats.message_types import (
     TRAJECTORIES,
     MessageType,
+    encodings_of,
     long_name,
     message_type,
 )
@@ -102,7 +103,7 @@ class MessageCollector:
         if not roles and channel.encoding == "json":
             # JSON needs no schema: a JointState is recognized by its fields.
             name, roles = SCHEMA_NAME, _ROLES
-        if roles and not known.joints:
+        if roles and not known.joints and channel.encoding in encodings_of(name):
             first = _first(region, rows[:1], channel, message_type(name, roles[0]), self.path)
             if first is not None:
                 filled = tuple(q for q in QUANTITIES if first.values[q] is not None)

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pytest_twin.formats import joint_state
+from pytest_twin.formats import foxglove, joint_state
 from pytest_twin.formats.json_fields import names_of, object_of, stamp_of, values_of
 from pytest_twin.formats.ros_serialization import (
     QUANTITIES,
@@ -240,11 +240,18 @@ TRAJECTORIES = frozenset({"trajectory_msgs/msg/JointTrajectory"})
 """Message types whose messages replace the remaining setpoints of the message before."""
 
 
+def encodings_of(schema: str) -> tuple[str, ...]:
+    """Return the message encodings in which a type is read."""
+    return ("protobuf", "json") if schema == foxglove.SCHEMA_NAME else ("cdr", "ros1", "json")
+
+
 def message_type(schema: str, role: str) -> MessageType | None:
     """Return the decoder of a type for a role (``state``, ``command``); None for other types."""
     match long_name(schema):
         case joint_state.SCHEMA_NAME:
             return JointState()
+        case foxglove.SCHEMA_NAME:
+            return foxglove.FoxgloveJointStates()
         case "control_msgs/msg/JointTrajectoryControllerState":
             return ControllerState(role)
         case "control_msgs/msg/DynamicJointState":
@@ -266,6 +273,7 @@ def known_types(role: str) -> str:
     """Return the types that a role accepts, as text for a message."""
     names = [
         joint_state.SCHEMA_NAME,
+        foxglove.SCHEMA_NAME,
         "control_msgs/msg/JointTrajectoryControllerState",
         "control_msgs/msg/DynamicJointState",
     ]

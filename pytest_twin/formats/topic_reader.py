@@ -17,6 +17,7 @@ from pytest_twin.formats.message_types import (
     ANY_QUANTITY,
     TRAJECTORIES,
     MessageType,
+    encodings_of,
     known_types,
     long_name,
     message_type,
@@ -162,13 +163,14 @@ class TopicReader:
         known = self.types.get((channel, schema))
         if known is not None:
             return known
-        if channel.encoding not in ("cdr", "json", "ros1"):
+        encodings = encodings_of(schema or "")
+        if channel.encoding not in encodings:
             raise RecordingError(
                 "unknown message encoding",
                 path=self.path,
                 where=self.topic,
                 value=channel.encoding,
-                expected="cdr, ros1 or json",
+                expected=f"{', '.join(encodings)} for {schema or 'this topic'}",
             )
         # JSON needs no schema, and a JSON schema may have any name.
         kind = message_type(schema or "", self.role)

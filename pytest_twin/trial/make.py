@@ -27,6 +27,7 @@ from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
 from pytest_twin.trial.joints import in_model_names, name_by_actuators
 from pytest_twin.trial.recording_checks import RecordingChecks
+from pytest_twin.trial.repeated_states import own_samples
 from pytest_twin.trial.table import (
     StateRows,
     kept_commands,
@@ -282,6 +283,14 @@ class _Maker:
             for name in COMMAND_MODES
             for table in [getattr(series, name)]
         }
+        samples = own_samples(stamp, fields)
+        if len(samples.rows) < len(stamp):
+            self.notes.append(
+                f"{series.topic}: {len(stamp)} messages repeat {len(samples.rows)} samples, each "
+                f"about {samples.repeats:.3g} times: the repeated ones are left out"
+            )
+            stamp = stamp[samples.rows]
+            fields = {n: None if t is None else t[samples.rows] for n, t in fields.items()}
         position = fields["position"]
         assert position is not None
         measured = ~np.isnan(position).all(axis=0)

@@ -58,7 +58,9 @@ def test_trial_time_starts_at_the_first_state() -> None:
     assert made.marks == ()
 
 
-@given(st.integers(1, 2**40), st.lists(st.integers(0, 10**12), min_size=2, max_size=50))
+@given(
+    st.integers(1, 2**40), st.lists(st.integers(0, 10**12), min_size=2, max_size=50, unique=True)
+)
 def test_absolute_stamps_are_kept_exactly(first: int, offsets: list[int]) -> None:
     stamp = np.sort(np.array(offsets, dtype=np.int64)) + first
     fields = {"position": np.zeros((len(stamp), 1)), "velocity": None, "effort": None}
