@@ -167,6 +167,11 @@ def convert_series(
         )  # fmt: skip
     notes = [_missing_role_note(recording, role) for role in TOPICS if role not in recording.series]
     series = dict(recording.series)
+    if any(any(one.degrees) for one in series.values()):
+        notes.append(
+            "no model says which joints are prismatic: a column in m needs its unit in the heading, "
+            "such as 'lift.position [m]'"
+        )
     command = series.get("command")
     if command is not None and all(map(command.has_any_quantity, range(len(command.names)))):
         mode = command_mode or _command_kind(command, series.get("state"))

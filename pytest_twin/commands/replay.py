@@ -180,6 +180,7 @@ def replay_file(
         encoders_of,
         sensors_of,
     )
+    from pytest_twin.replay_order import doubt_of_order
 
     asked = ReplayRequest(**request)
     options = RecordingOptions.from_json(asked.options)
@@ -193,6 +194,7 @@ def replay_file(
     # A single state only gives the start: predict at the stamps of the commands.
     replayed = [t if len(t.time) > 1 else at_command_stamps(t) for t in trials]
     ideal, notes = predict(realization, loaded.patched, replayed, progress)
+    doubt = None if loaded.patched else doubt_of_order(realization, replayed[0])
     encoders = encoders_of(realization.twin)
     parts = [as_encoders_read(part, encoders) for part in ideal]
     predicted = concatenate(parts, replayed)
@@ -235,7 +237,13 @@ def replay_file(
             for t in trials
             for mark in t.marks
         ],
-        "notes": [*(note for t in trials for note in t.notes), *notes, *unread, *realization.notes],
+        "notes": [
+            *(note for t in trials for note in t.notes),
+            *([doubt] if doubt else ()),
+            *notes,
+            *unread,
+            *realization.notes,
+        ],
     }
 
 

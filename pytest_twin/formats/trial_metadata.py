@@ -13,14 +13,22 @@ _MOST = 100
 """Largest number of entries."""
 
 
+def file_beside(recording: Path) -> Path | None:
+    """Return the file with the metadata of a CSV recording, ``NAME.csv.yaml``; None without one."""
+    if not recording.name.lower().endswith((".csv", ".csv.gz")):
+        return None
+    path = recording.with_name(recording.name + SUFFIX)
+    return path if path.exists() or path.is_symlink() else None
+
+
 def metadata_beside(recording: Path) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the metadata in ``NAME.csv.yaml`` beside ``NAME.csv``, and a note that they were read.
+    """Return the metadata in the file beside a recording, and a note that they were read.
 
     Raises:
         FormatError: the file is not a mapping of names to short values.
     """
-    path = recording.with_name(recording.name + SUFFIX)
-    if not path.exists() and not path.is_symlink():
+    path = file_beside(recording)
+    if path is None:
         return {}, ()
     found = yaml.load(path).data
     expected = "a mapping such as role: fit, payload: kg05, temperature: 20 C, controller: soft"

@@ -11,6 +11,7 @@ from pytest_twin.checks.files import find_file
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.digest import bytes_sha256, file_sha256
+from pytest_twin.formats.trial_metadata import file_beside
 from pytest_twin.gate.asset_chain import AssetChain, chain_of
 from pytest_twin.gate.distributions import installed_version
 from pytest_twin.gate.promotion import unpromoted_lines
@@ -94,6 +95,9 @@ def collect_dependencies(
             if golden is None:
                 return digest(Path(reference))
             found = find_file(golden, "target", reference, twin)
+            metadata = file_beside(found)
+            if metadata is not None:
+                return bytes_sha256(f"{digest(found)} {digest(metadata)}".encode())
             return digest_of_folder(found) if found.is_dir() else digest(found)
         except TwinError:
             return None

@@ -90,11 +90,13 @@ def _whole(
     joints = None if structure is None else structure.joint_type.keys()
     notes: list[str] = list(recording.notes)
     topics = []
+    unnamed: set[str] = set()
     for role in ("state", "command"):
         series = _series(recording, role)
         if structure is not None:
             series, placed = name_by_actuators(series, options.joints, structure.actuator_joints)
             notes += placed
+            unnamed |= {role} if placed else set()
         series, said = in_model_names(series, options.joints, joints, recording.path)
         if structure is not None:
             series, metres = _metres_of_slides(series, structure)
@@ -127,7 +129,7 @@ def _whole(
         trials.append(
             replace(
                 trial, notes=own, command_between=between, between_source=source, offset=since,
-                parts=len(clocked.pieces),
+                parts=len(clocked.pieces), unnamed=frozenset(unnamed),
             )
         )  # fmt: skip
         since += trial.duration

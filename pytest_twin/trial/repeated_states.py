@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.formats.ros_serialization import Floats, Integers
+from pytest_twin.recording_options import CommandMode
 
 # Messages per sample below which nothing is repeated.
 _FEWEST_REPEATS = 1.5
@@ -35,7 +37,7 @@ class Samples:
     repeats: float
 
 
-def own_samples(stamp: Integers, fields: dict[str, Floats | None]) -> Samples:
+def own_samples(stamp: Integers, fields: Mapping[CommandMode, Floats | None]) -> Samples:
     """Return the messages that have a new sample.
 
     A repeater sends each sample several times: while the joints move, values change at every k-th

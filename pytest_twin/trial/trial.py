@@ -81,6 +81,8 @@ class Trial:
         notes: rules that were applied while reading, one line each.
         offset: time from the recording's first state to that of this trial, s.
         parts: number of parts into which the recording was split.
+        unnamed: roles (``state``, ``command``) whose messages name no joints; these have the order
+            of the model's actuators.
     """
 
     path: Path
@@ -102,6 +104,7 @@ class Trial:
     notes: tuple[str, ...] = ()
     offset: float = 0.0
     parts: int = 1
+    unnamed: frozenset[str] = frozenset()
 
     @property
     def command_mode(self) -> CommandMode | Literal["mixed"]:

@@ -28,7 +28,7 @@ from pytest_twin.formats.recordings.csv_headings import (
     topics_in,
 )
 from pytest_twin.formats.recordings.csv_numbers import Body
-from pytest_twin.formats.recordings.csv_time import unit_in_heading
+from pytest_twin.formats.recordings.csv_time import unit_in_heading, unit_named
 from pytest_twin.formats.ros_serialization import QUANTITIES, Floats, Integers
 from pytest_twin.formats.trial_metadata import metadata_beside
 
@@ -303,12 +303,13 @@ class _Table:
                 value=rows * len(self.header),
                 expected=f"at most {limits.CSV.cells_count}",
             )
+        heading, stated = split_unit(self.header[self.time_at])
         unit = self.options.time_unit or unit_in_heading(self.header[self.time_at])
+        unit = unit or unit_named(stated)
         body = Body(
             self.path, self.body, self.header, self.time_at, self.columns, self.line + 1, unit
         )
         time, values, note = body.numbers()
-        heading = split_unit(self.header[self.time_at])[0]
         if note:
             self.notes.append(f"{heading}: {note}")
         return time, values

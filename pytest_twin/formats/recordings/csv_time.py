@@ -35,7 +35,12 @@ class TimeUnitError(ValueError):
 def unit_in_heading(heading: str) -> str | None:
     """Return the unit that a heading of times states, such as ``time_ms`` or ``t [s]``."""
     found = _TIME_HEADING.fullmatch(heading.strip())
-    return None if found is None else _NAMES.get(found[1].lower())
+    return None if found is None else unit_named(found[1])
+
+
+def unit_named(name: str) -> str | None:
+    """Return the unit of times with a name, such as ``msec``; None for another word."""
+    return _NAMES.get(name.strip().lower())
 
 
 def unit_of_times(times: Floats, *, whole: bool) -> tuple[str, str]:
@@ -79,6 +84,8 @@ def unit_of_times(times: Floats, *, whole: bool) -> tuple[str, str]:
     if not dated and not whole and usual in likely:
         return usual, ""
     offers = ", ".join(f"{rate:.4g} Hz as {unit}" for unit, rate in rates.items())
+    if len(different) < len(times):
+        offers += f"; {len(times)} rows at {len(different)} times"
     raise TimeUnitError(offers)
 
 

@@ -1,0 +1,84 @@
+"""Test the assumed order of joints that a recording does not name, by replays in other orders."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_twin.realization import Realization
+from pytest_twin.replay import Replayed, replay
+from pytest_twin.trial import Trial
+from pytest_twin.words import list_names
+
+# s of each replay.
+_SECONDS = 5.0
+# More joints have too many orders; then only the likely ones are tested.
+_MOST_JOINTS = 7
+# The best order has less than this fraction of the assumed order's mean square error.
+_MUCH_BETTER = 0.5
+# rad or m. Joints that move less do not show their order.
+_MOVED = 0.02
+
+
+def doubt_of_order(realization: Realization, trial: Trial) -> str | None:
+    """Return a note if another order of unnamed joints predicts the motion much better.
+
+    Tested are the alphabetical order, which ``joint_state_broadcaster`` uses, the reverse, and for
+    few joints every exchange of two.
+
+    Args:
+        realization: the model.
+        trial: a trial whose joints have the order of the model's actuators.
+    """
+    if not trial.unnamed or len(trial.time) < 2:
+        return None
+    short = trial.until(_SECONDS)
+    orders = _orders(trial.joints)
+    results = replay(realization, [_in_order(short, order) for order in orders])
+    errors = [_error(result) for result in results]
+    best = int(np.argmin(errors))
+    if not errors[best] < _MUCH_BETTER * errors[0]:
+        return None
+    ratio = float(np.sqrt(errors[best] / errors[0]))
+    return (
+        f"the order of the joints may be {list_names(orders[best])}: it predicts the motion with "
+        f"{100 * ratio:.2g} % of the error of the assumed order {list_names(orders[0])}; 'joints:' "
+        "in twin.yaml or --joints names them"
+    )
+
+
+def _orders(joints: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """The assumed order, and others to test."""
+    found = [joints, tuple(sorted(joints)), joints[::-1]]
+    if len(joints) <= _MOST_JOINTS:
+        for first, second in itertools.combinations(range(len(joints)), 2):
+            order = list(joints)
+            order[first], order[second] = order[second], order[first]
+            found.append(tuple(order))
+    return list(dict.fromkeys(found))
+
+
+def _in_order(trial: Trial, order: Sequence[str]) -> Trial:
+    """The trial with its unnamed columns in another order."""
+    names = dict(zip(trial.joints, order, strict=True))
+    if "state" in trial.unnamed:
+        trial = replace(trial, joints=tuple(names[joint] for joint in trial.joints))
+    if "command" in trial.unnamed:
+        commands = tuple(names.get(joint, joint) for joint in trial.command_joints)
+        trial = replace(trial, command_joints=commands)
+    return trial
+
+
+def _error(result: Replayed) -> float:
+    """Sum over the joints of the mean square error, relative to the joint's motion."""
+    if result.error is not None:
+        return float("inf")
+    total = 0.0
+    for predicted, measured in zip(result.position.T, result.trial.position.T, strict=True):
+        seen = np.isfinite(measured)
+        motion = float(np.var(measured[seen])) + _MOVED**2
+        total += float(np.mean((predicted[seen] - measured[seen]) ** 2)) / motion
+    return total

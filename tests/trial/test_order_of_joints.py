@@ -1,0 +1,36 @@
+"""Values without joint names in another order than the model's are not taken in silence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from foreign_logs import ARM, TRUE_RMS, recorded, replayed, trial_of, write
+
+from pytest_twin.realization import load
+from pytest_twin.replay_order import doubt_of_order
+
+
+@pytest.mark.usefixtures("commands_in_process")
+def test_another_order_is_suspected_and_its_mapping_gives_the_right_replay(tmp_path: Path) -> None:
+    swapped = {
+        role: replace(one, position=one.position[:, ::-1], names=("0", "1"))  # type: ignore[index]
+        for role, one in recorded().items()
+    }
+    log = write(tmp_path / "log.mcap", swapped)
+    _, notes = replayed(log, tmp_path)
+    suspicion = [note for note in notes if "the order of the joints may be j2, j1" in note]
+    assert len(suspicion) == 1
+    rms, notes = replayed(log, tmp_path, "--joints", "0=j2,1=j1")
+    assert rms == pytest.approx(TRUE_RMS, abs=1e-4)
+    assert not any("order of the joints" in note for note in notes)
+
+
+def test_the_right_order_is_not_suspected(tmp_path: Path) -> None:
+    unnamed = {role: replace(one, names=("0", "1")) for role, one in recorded().items()}
+    trial = trial_of(write(tmp_path / "log.mcap", unnamed))
+    assert trial.unnamed == {"state", "command"}
+    assert doubt_of_order(load(ARM), trial) is None
+    named = trial_of(write(tmp_path / "named.mcap", recorded()))
+    assert named.unnamed == frozenset()
