@@ -169,8 +169,8 @@ def convert_series(
     series = dict(recording.series)
     if any(any(one.degrees) for one in series.values()):
         notes.append(
-            "no model says which joints are prismatic: a column in m needs its unit in the heading, "
-            "such as 'lift.position [m]'"
+            "no model says which joints are prismatic: a column in m needs its unit in the "
+            "heading, such as 'lift.position [m]'"
         )
     command = series.get("command")
     if command is not None and all(map(command.has_any_quantity, range(len(command.names)))):
