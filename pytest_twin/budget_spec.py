@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.formats.result_record import ResultRecord
+from pytest_twin.record_spec import Unaffected, unaffected_of
+
 
 @dataclass(frozen=True, slots=True)
 class BudgetSpec:
@@ -18,6 +21,8 @@ class BudgetSpec:
         recordings: recordings of the task's motion.
         position, rotation: allowed pose error, m and rad, or None.
         owners: category of error -> person or team responsible for it.
+        record: budget in use, a ``budget.json``; None without.
+        unaffected: changed inputs that do not touch this budget.
     """
 
     frame: str | None = None
@@ -26,9 +31,16 @@ class BudgetSpec:
     position: float | None = None
     rotation: float | None = None
     owners: Mapping[str, str] = field(default_factory=dict)
+    record: ResultRecord | None = None
+    unaffected: tuple[Unaffected, ...] = ()
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any], recordings: tuple[Path, ...]) -> BudgetSpec:
+    def from_json(
+        cls,
+        data: Mapping[str, Any],
+        recordings: tuple[Path, ...],
+        record: ResultRecord | None = None,
+    ) -> BudgetSpec:
         """Build the spec from the validated table of ``twin.yaml`` and the resolved recordings."""
         tolerance = {name: float(value) for name, value in data.get("tolerance", {}).items()}
         return cls(
@@ -41,4 +53,6 @@ class BudgetSpec:
             position=tolerance.get("position"),
             rotation=tolerance.get("rotation"),
             owners=dict(data.get("owners", {})),
+            record=record,
+            unaffected=unaffected_of(data),
         )

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.formats.identification_record import IdentificationRecord
-from pytest_twin.record_spec import Unaffected
+from pytest_twin.formats.result_record import ResultRecord
+from pytest_twin.record_spec import Unaffected, unaffected_of
 
 SHARE, DRAWS = 0.95, 256
 """Defaults of ``share`` and ``draws``. With 256 simulated robots the ends of a 95 % interval have
@@ -57,6 +58,8 @@ class RangesSpec:
         held_out: recordings that were not fitted; they may widen the ranges.
         trials: identifications of the same robot under different conditions.
         tolerances: declared manufacturing tolerances.
+        record: ranges in use, a ``ranges.json``; None without.
+        unaffected: changed inputs that do not touch these ranges.
     """
 
     share: float = SHARE
@@ -65,6 +68,8 @@ class RangesSpec:
     held_out: tuple[Path, ...] = ()
     trials: tuple[TrialGroup, ...] = ()
     tolerances: tuple[Tolerance, ...] = ()
+    record: ResultRecord | None = None
+    unaffected: tuple[Unaffected, ...] = ()
 
     @classmethod
     def from_json(
@@ -73,6 +78,7 @@ class RangesSpec:
         final: tuple[Path, ...],
         held_out: tuple[Path, ...],
         trials: tuple[TrialGroup, ...],
+        record: ResultRecord | None = None,
     ) -> RangesSpec:
         """Build the spec from the validated table of ``twin.yaml``, files and records."""
         return cls(
@@ -81,6 +87,8 @@ class RangesSpec:
             final=final,
             held_out=held_out,
             trials=trials,
+            record=record,
+            unaffected=unaffected_of(data),
             tolerances=tuple(
                 Tolerance(
                     str(one["parameter"]),

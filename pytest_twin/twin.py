@@ -22,6 +22,7 @@ from pytest_twin.formats.identification_record import (
     read_identification_record,
 )
 from pytest_twin.formats.paths import Roots
+from pytest_twin.formats.result_record import ResultRecord, read_result_record
 from pytest_twin.formats.schema import validate
 from pytest_twin.installed import entry_points_by_name
 from pytest_twin.ranges_spec import RangesSpec, TrialGroup
@@ -35,6 +36,8 @@ EFFECTS_FILE = "effects.json"
 """File next to a model that a diagnosis wrote: effects that MJCF cannot express."""
 # Model files in the folder of a diagnosis; the first that exists is used.
 _DIAGNOSIS_MODELS = ("realization/model.xml", "model.xml")
+_RESULTS_WITH_MODELS = ("diagnosis.json", "identification.json")
+"""Results of commands that write a model into a folder beside them."""
 DEFAULT_TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
@@ -91,11 +94,21 @@ class _Section:
 
 @dataclass(frozen=True, slots=True)
 class RealizationRef:
-    """Name, model file and simulator of one realization."""
+    """One realization.
+
+    Attributes:
+        name: its name.
+        file: model file.
+        simulator: simulator that steps it.
+        record: result of the command that fitted the model; None for any other model.
+        unaffected: changed inputs of that result that do not touch the model.
+    """
 
     name: str
     file: Path
     simulator: Simulator = "mujoco"
+    record: ResultRecord | None = None
+    unaffected: tuple[Unaffected, ...] = ()
 
     @property
     def effects(self) -> Path | None:
@@ -411,8 +424,13 @@ class Twin:
 
     @property
     def has_records(self) -> bool:
-        """Whether it lists the record of a calibration or an identification."""
-        return bool(self.fits or self.calibrations or self.ranges.trials)
+        """Whether it lists a record or uses a model that a command fitted."""
+        results = (self.ranges.record, self.budget.record, *self._written_models)
+        return bool(self.fits or self.calibrations or self.ranges.trials or any(results))
+
+    @property
+    def _written_models(self) -> tuple[ResultRecord | None, ...]:
+        return tuple(reference.record for reference in self.realizations.values())
 
     @property
     def calibrations_in_use(self) -> tuple[CalibrationEntry, ...]:
@@ -468,6 +486,9 @@ class Twin:
             found[calibration.record.path] = None
         for fit in self.fits:
             found[fit.record.path] = None
+        for result in (self.ranges.record, self.budget.record, *self._written_models):
+            if result is not None:
+                found[result.path] = None
         for ref in self.realizations.values():
             found[ref.file] = None
             if ref.effects is not None:
@@ -647,7 +668,8 @@ class _Reader:
     def _realizations(self) -> dict[str, RealizationRef]:
         found: dict[str, RealizationRef] = {}
         if "model" in self.data:
-            found["mujoco"] = RealizationRef("mujoco", self._model(self.data["model"], "model"))
+            file = self._model(self.data["model"], "model")
+            found["mujoco"] = RealizationRef("mujoco", file, record=_record_of_model(file))
         for name, declared in self.data.get("realizations", {}).items():
             where = f"realizations.{name}"
             if name in found:
@@ -659,7 +681,8 @@ class _Reader:
                 )
             simulator = declared.get("simulator", "mujoco")
             file = self._model(declared["file"], f"{where}.file", simulator)
-            found[name] = RealizationRef(name, file, simulator)
+            record = _record_of_model(file)
+            found[name] = RealizationRef(name, file, simulator, record, unaffected_of(declared))
         return found
 
     def _model(self, reference: str, where: str, simulator: Simulator = "mujoco") -> Path:
@@ -903,7 +926,7 @@ class _Reader:
         data = self.data.get("budget", {})
         files = enumerate(data.get("recordings", ()))
         found = tuple(self._recording(name, f"budget.recordings.{at}") for at, name in files)
-        return BudgetSpec.from_json(data, found)
+        return BudgetSpec.from_json(data, found, self._result("budget", data))
 
     def _ranges(self) -> RangesSpec:
         data = self.data.get("ranges", {})
@@ -922,7 +945,13 @@ class _Reader:
             )
             for at, one in enumerate(data.get("trials", ()))
         )
-        return RangesSpec.from_json(data, final, held_out, trials)
+        return RangesSpec.from_json(data, final, held_out, trials, self._result("ranges", data))
+
+    def _result(self, section: str, data: Mapping[str, Any]) -> ResultRecord | None:
+        """The result of ``budget`` or ``randomize`` that a section names as in use, or None."""
+        if "file" not in data:
+            return None
+        return read_result_record(self._file(data["file"], f"{section}.file"))
 
     def _recording(self, reference: str, where: str) -> Path:
         """Path of a recording: a file, or a folder that is one recording."""
@@ -942,6 +971,17 @@ class _Reader:
             if not affects
             else Affects(**{key: tuple(names) for key, names in affects.items()}),
         )
+
+
+def _record_of_model(model: Path) -> ResultRecord | None:
+    """The result beside a model that a diagnosis or identification wrote, or None."""
+    if effects_file_next_to(model) is None:
+        return None
+    for name in _RESULTS_WITH_MODELS:
+        path = model.parent.parent / name
+        if path.is_file():
+            return read_result_record(path)
+    return None
 
 
 def _fit(section: _Section) -> Fit:

@@ -23,6 +23,7 @@ from pytest_twin.budget.verdict import QUANTITIES, assess
 from pytest_twin.errors import TwinError
 from pytest_twin.gate.specs import load_golden, spec_paths
 from pytest_twin.realization import Realization, load
+from pytest_twin.realization.record_inputs import refuse_stale_records, result_basis
 from pytest_twin.twin import Twin, load_twin
 
 MEANING = (
@@ -31,18 +32,28 @@ MEANING = (
 )
 
 
-def budget_of_file(path: str, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
+def budget_of_file(
+    path: str, progress: Callable[[float], None] | None = None, folder: str = ""
+) -> dict[str, Any]:
     """Return the content of ``budget.json`` for a ``twin.yaml``.
 
+    Args:
+        path: path of the ``twin.yaml``.
+        progress: called with the fraction done.
+        folder: folder of the result; that of the twin if empty.
+
     Raises:
-        TwinError: a twin, a record or a recording cannot be used.
+        TwinError: a twin, a record or a recording cannot be used, or a record is stale.
     """
     twin = load_twin(Path(path))
+    refuse_stale_records(twin)
     first = twin.first_realization
     # Shapes are needed only for simulating motion; their files may be missing.
     shapes = bool(twin.budget.recordings)
     realization = load(first.file, twin=twin, name=first.name, shapes=shapes)
-    return budget(twin, realization, progress or (lambda done: None))
+    document = budget(twin, realization, progress or (lambda done: None))
+    document["basis"] = result_basis(realization, "budget", Path(folder or twin.root))
+    return document
 
 
 def budget(

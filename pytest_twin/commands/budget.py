@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         document = sandbox.call(
             "pytest_twin.budget.run:budget_of_file",
-            {"path": str(twin.absolute())},
+            {"path": str(twin.absolute()), "folder": str(out.absolute())},
             progress=progress,
         )
         atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")

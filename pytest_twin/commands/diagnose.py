@@ -199,6 +199,7 @@ def diagnose_into(
                     "recordings": [str(r.absolute()) for r in recordings],
                     "held_out": [str(r.absolute()) for r in held_out],
                     "out": str(staging),
+                    "folder": str(out.absolute()),
                     **arguments,
                 },
             },
@@ -216,6 +217,7 @@ class DiagnosisRequest:
         model: path of the model.
         recordings, held_out: files and folders.
         out: an empty folder.
+        folder: folder that it becomes; itself if empty.
         topics: role -> topic, overrides the twin's topics.
         options: options for reading recordings, override the twin's options.
         packages, roots: folders that may contain the model's files.
@@ -237,6 +239,7 @@ class DiagnosisRequest:
     own_time: bool = False
     answer_first: bool = False
     threads: int = 0
+    folder: str = ""
 
 
 def diagnose_files(
@@ -300,6 +303,7 @@ def diagnose_files(
         threads=asked.threads,
         progress=progress,
         run=Run(budget, Trace(say_state)),
+        record_folder=Path(asked.folder or asked.out),
     )
     located = loaded.realization.source.located
     chosen = () if located is None or located.root is None else located.words()

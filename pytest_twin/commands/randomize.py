@@ -137,6 +137,7 @@ def run(args: argparse.Namespace) -> int:
                     "final": [str(path.absolute()) for path in args.final],
                     "held_out": [str(path.absolute()) for path in args.held_out],
                     "draws": args.draws,
+                    "folder": str(out.absolute()),
                     "share": args.share,
                     "options": recording_options(args),
                     "topics": args.topics,

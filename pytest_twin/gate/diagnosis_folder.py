@@ -22,10 +22,13 @@ from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPO
 from pytest_twin.interrupts import stopped_by_parent
 from pytest_twin.realization import Realization
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
+from pytest_twin.realization.record_inputs import basis_json, unfitted
+from pytest_twin.records.basis import Uses
 from pytest_twin.report.diagnosis import render, words
 
 
-def write_diagnosis(
+# Its keywords are independent of each other, and most callers give one or two.
+def write_diagnosis(  # noqa: PLR0913
     folder: Path,
     realization: Realization,
     trials: TrialSet,
@@ -34,6 +37,7 @@ def write_diagnosis(
     threads: int = 0,
     progress: Callable[[float], None],
     run: Run | None = None,
+    record_folder: Path | None = None,
 ) -> dict[str, Any]:
     """Diagnose a model, and write the result into an empty folder.
 
@@ -46,6 +50,7 @@ def write_diagnosis(
         threads: number of threads of the simulations, 0 for all cores.
         progress: called with the fraction that is done, 0 to 1.
         run: time limit and receiver of progress messages; no time limit by default.
+        record_folder: folder that ``folder`` becomes; itself by default.
 
     Returns:
         ``verdict``, and ``words``: the lines for a terminal.
@@ -75,9 +80,30 @@ def write_diagnosis(
         fitted = load_written(folder / REALIZATION)
         frequency = frequency_responses(fitted, found.tested.trials.held_out or trials.fit)
     said = {**found.to_json(realization=f"{REALIZATION}/"), "frequency_response": frequency}
+    said["basis"] = _basis(realization, trials, record_folder or folder)
     atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")
     progress(0.96)
     view = view_of(found, said, patched, model)
     atomic.write_text(folder / REPORT_FILE, render(view))
     progress(1.0)
     return {"verdict": found.verdict, "words": words(said)}
+
+
+def _basis(realization: Realization, trials: TrialSet, folder: Path) -> dict[str, Any]:
+    """Return the inputs of the patched model."""
+    every = (*trials.fit, *trials.held_out)
+
+    def named(key: str) -> tuple[str, ...]:
+        return tuple(sorted({trial.metadata[key] for trial in every if key in trial.metadata}))
+
+    joints = {joint for trial in every for joint in trial.joints}
+    uses = Uses(
+        joints=tuple(joint for joint in realization.joints if joint in joints),
+        controllers=named("controller"),
+        payloads=named("payload"),
+    )
+    return basis_json(
+        unfitted(realization), uses, realization.twin, folder,
+        {trial.path.name: trial.path for trial in every},
+        has_twin=realization.twin is not None,
+    )  # fmt: skip

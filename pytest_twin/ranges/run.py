@@ -24,6 +24,7 @@ from pytest_twin.ranges.simulate import Traces, VariedRobots
 from pytest_twin.ranges.summary import summary_lines
 from pytest_twin.ranges.widening import fewest_robots, widen
 from pytest_twin.realization import Realization, load
+from pytest_twin.realization.record_inputs import refuse_stale_records, result_basis
 from pytest_twin.realization.sandbox import MEMORY_BYTES
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.twin import Twin, load_twin
@@ -47,6 +48,7 @@ class Request:
         options: settings for reading recordings; they take precedence over the twin's.
         topics: role of a topic -> topic; these take precedence over the twin's.
         against: configuration whose ranges are compared, or None.
+        folder: folder of the result; that of the twin if empty.
     """
 
     final: Sequence[Path] = ()
@@ -56,6 +58,7 @@ class Request:
     options: Mapping[str, Any] | None = None
     topics: Mapping[str, str] | None = None
     against: Path | None = None
+    folder: str = ""
 
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> Request:
@@ -85,10 +88,13 @@ def ranges_of_file(
         TwinError: a twin, a record or a recording cannot be used.
     """
     twin = load_twin(Path(path))
+    refuse_stale_records(twin)
     first = twin.first_realization
     realization = load(first.file, twin=twin, name=first.name)
     asked = Request.from_json(request or {})
-    return ranges(twin, realization, asked, progress or (lambda done: None))
+    document = ranges(twin, realization, asked, progress or (lambda done: None))
+    document["basis"] = result_basis(realization, "ranges", Path(asked.folder or twin.root))
+    return document
 
 
 def ranges(

@@ -99,6 +99,49 @@ def basis_json(
     ).to_json()
 
 
+def result_basis(realization: Realization, section: str, folder: Path) -> dict[str, Any]:
+    """Return ``basis`` of a result that is computed from all records of a twin.
+
+    Args:
+        realization: the model with its twin.
+        section: section of ``twin.yaml`` that states the task: ``ranges`` or ``budget``.
+        folder: folder of the result.
+    """
+    twin = realization.twin
+    assert twin is not None
+    uses = Uses(
+        everything=True,
+        controllers=tuple(twin.controllers),
+        payloads=tuple(twin.payloads),
+        section=section,
+    )
+    recordings = (
+        (*twin.ranges.final, *twin.ranges.held_out)
+        if section == "ranges"
+        else twin.budget.recordings
+    )
+    records = (
+        *(entry.record.path for entry in twin.fits),
+        *(entry.record.path for entry in twin.calibrations),
+        *(group.record.path for group in twin.ranges.trials),
+    )
+    files = {
+        os.path.relpath(path, twin.root): path for path in dict.fromkeys((*recordings, *records))
+    }
+    return basis_json(unfitted(realization), uses, twin, folder, files, has_twin=True)
+
+
+def refuse_stale_records(twin: Twin) -> None:
+    """Refuse a twin one of whose estimates is stale.
+
+    Raises:
+        SpecError: the first stale record.
+    """
+    for state in states_of_records(twin):
+        if state.touching and state.kind not in ("randomize", "budget"):
+            raise state.error(twin)
+
+
 def states_of_records(twin: Twin) -> tuple[RecordState, ...]:
     """Compare the inputs of each record of a twin with the present ones; models are loaded.
 

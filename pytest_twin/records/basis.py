@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ class Uses:
         controllers, payloads: names of those under which its recordings were made.
         measures_zeros: whether it measures the zeros of the joints, so that stated ones do not
             matter.
+        section: section of ``twin.yaml`` that states the task: ``ranges`` or ``budget``.
     """
 
     joints: tuple[str, ...] = ()
@@ -49,6 +50,7 @@ class Uses:
     controllers: tuple[str, ...] = ()
     payloads: tuple[str, ...] = ()
     measures_zeros: bool = False
+    section: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that differ from their defaults, JSON-able."""
@@ -69,9 +71,10 @@ class Uses:
         """
         values: dict[str, Any] = {}
         for name, value in data.items():
-            if isinstance(getattr(cls(), name), bool):
-                if not isinstance(value, bool):
-                    raise ValueError(f"{name}: not true or false")
+            default = getattr(cls(), name)
+            if isinstance(default, bool | str):
+                if not isinstance(value, type(default)):
+                    raise ValueError(f"{name}: {value!r}")
                 values[name] = value
             elif isinstance(value, list) and all(isinstance(one, str) for one in value):
                 values[name] = tuple(value)
@@ -87,7 +90,7 @@ class Uses:
         if self.frames:
             ids |= structure.chain(self.frames)
         if self.joints:
-            ids |= structure.dynamics(self.joints)
+            ids |= structure.dynamics(self.joints) | structure.effects()
         for ident in ids & structure.part_ids:
             name = ident.removeprefix(f"{structure.realization}/")
             of_simulation = {name, name.partition(":")[0]} & set(_LAYERS_OF_SIMULATION)
@@ -194,7 +197,23 @@ def input_parts(
         if has_twin and (uses.joints or uses.everything):
             contents["topics:recordings"] = stated["topics:recordings"].content
             contents.update(_earlier_values(twin, frozenset(contents)))
+        if uses.section:
+            contents[f"section:{uses.section}"] = _section(twin, uses.section)
     return {ident: Part(ident, content) for ident, content in contents.items()}
+
+
+def _section(twin: Twin, name: str) -> dict[str, Any]:
+    """What a section of ``twin.yaml`` states about the task of a result."""
+    if name == "ranges":
+        tolerances = [asdict(tolerance) for tolerance in twin.ranges.tolerances]
+        return {"share": twin.ranges.share, "tolerance": tolerances}
+    budget = twin.budget
+    return {
+        "frame": budget.frame or twin.tcp,
+        "poses [rad or m]": [dict(pose) for pose in budget.poses],
+        "position [m]": budget.position,
+        "rotation [rad]": budget.rotation,
+    }
 
 
 def _joints(uses: Uses, structure: Structure) -> Sequence[str]:

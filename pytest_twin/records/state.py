@@ -10,18 +10,19 @@ from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.calibration_record import CalibrationRecord
 from pytest_twin.formats.identification_record import IdentificationRecord
+from pytest_twin.formats.result_record import ResultRecord
 from pytest_twin.outcome import Reason
 from pytest_twin.record_spec import Unaffected
 from pytest_twin.records.basis import EARLIER_RECORD, Basis, input_parts
 from pytest_twin.staleness import DependencyMap, Model, changes
 from pytest_twin.twin import Twin
 
-Record = IdentificationRecord | CalibrationRecord
+Record = IdentificationRecord | CalibrationRecord | ResultRecord
 SourceOf = Callable[[str | Path], Model]
 """Name of a realization, or path of another model -> its parts before any record replaces them."""
 _SHOWN_DIGITS = 12
 """Number of hexadecimal digits of a digest in messages: enough that two changes differ."""
-_RANGES = "ranges"
+_TRIALS = "ranges.trials"
 _MAX_NAMED = 3
 """Largest number of changes of a record that a message names."""
 _ABSENT = Part("absent", {})
@@ -62,10 +63,11 @@ class RecordState:
     """A record in use, and the changes of its inputs.
 
     Attributes:
-        kind: how it is made again: ``identify`` or ``calibrate``.
+        kind: command that makes it.
         where: its place in ``twin.yaml``, such as ``fit.0``.
         record: the record.
-        uses: estimates that the twin uses of a calibration; empty for an identification.
+        uses: estimates that the twin uses of a calibration; empty for any other record.
+        models: realizations whose model its command wrote.
         changes: inputs that changed.
         notes: what could not be compared.
         statements: changes that its owner declared harmless.
@@ -77,6 +79,7 @@ class RecordState:
     record: Record
     statements: tuple[Unaffected, ...] = ()
     uses: tuple[str, ...] = ()
+    models: tuple[str, ...] = ()
     changes: tuple[InputChange, ...] = ()
     notes: tuple[str, ...] = ()
     inputs: frozenset[str] = frozenset()
@@ -116,8 +119,8 @@ class RecordState:
             for reason in change.reasons
         )
 
-    def line(self, twin: Twin) -> str:
-        """The error of a stale record in one line, with the ways out."""
+    def error(self, twin: Twin) -> SpecError:
+        """The error of a stale record, with the ways out."""
         touching = self.touching
         named = [_in_words(change) for change in touching[:_MAX_NAMED]]
         if len(touching) > _MAX_NAMED:
@@ -127,19 +130,21 @@ class RecordState:
             'reason: "WHY", owner: "WHO"}'
             for change in touching
         )
-        return str(
-            twin.error(
-                self.where,
-                f"record {self.record.id!r} is stale: its inputs changed: " + "; ".join(named),
-                expected=f"pytest-twin {self.kind} again, or if it does not touch the record, "
-                f"here unaffected: [{statements}]",
-            )
+        return twin.error(
+            self.where,
+            f"record {self.record.id!r} is stale: its inputs changed: " + "; ".join(named),
+            expected=f"pytest-twin {self.kind} again, or if it does not touch the record, "
+            f"here unaffected: [{statements}]",
         )
 
     def overridden(self, structure: Structure) -> frozenset[str]:
         """Ids of the parts, of a realization and of the twin, that the record determines."""
         name, record = structure.realization, self.record
         found: set[str] = set()
+        if name in self.models:
+            found |= structure.part_ids
+        if isinstance(record, ResultRecord):
+            return frozenset(found)
         if isinstance(record, CalibrationRecord):
             found.add(f"record:{record.id}")
             if "joint_zeros" in self.uses:
@@ -212,16 +217,23 @@ def _records_in_use(twin: Twin) -> Iterator[tuple[RecordState, Twin]]:
         if (ident := fit.record.id) in in_use:
             where = f"fit.{listed.index(ident)}"
             yield (
-                RecordState("identify", where, fit.record, fit.unaffected),
+                RecordState(
+                    "identify",
+                    where,
+                    fit.record,
+                    fit.unaffected,
+                    models=_models_of(fit.record.path, twin),
+                ),
                 twin.before_fit(ident),
             )
     for at, group in enumerate(twin.ranges.trials):
         # It is not used as a fit; which fits it was made with is not known.
         without = replace(twin, fit=None, fit_tables=(), fits=(), calibration=twin.calibrated)
         yield (
-            RecordState("identify", f"{_RANGES}.trials.{at}", group.record, group.unaffected),
+            RecordState("identify", f"{_TRIALS}.{at}", group.record, group.unaffected),
             without,
         )
+    yield from ((state, twin) for state in _results_in_use(twin))
     for at, entry in enumerate(twin.calibrations):
         if entry in twin.calibrations_in_use:
             yield (
@@ -230,6 +242,31 @@ def _records_in_use(twin: Twin) -> Iterator[tuple[RecordState, Twin]]:
                 ),
                 twin.before_calibration(entry.record.id),
             )
+
+
+def _results_in_use(twin: Twin) -> Iterator[RecordState]:
+    """Results that sections of the twin name, and those beside models that a command wrote."""
+    listed = {fit.record.path for fit in twin.fits}
+    for name, reference in twin.realizations.items():
+        record = reference.record
+        if record is not None and record.path not in listed:
+            kind = "diagnose" if record.path.name == "diagnosis.json" else "identify"
+            where = f"realizations.{name}" if f"realizations.{name}" in twin.lines else "model"
+            yield RecordState(
+                kind, where, record, reference.unaffected, models=_models_of(record.path, twin)
+            )
+    if twin.ranges.record is not None:
+        yield RecordState("randomize", "ranges", twin.ranges.record, twin.ranges.unaffected)
+    if twin.budget.record is not None:
+        yield RecordState("budget", "budget", twin.budget.record, twin.budget.unaffected)
+
+
+def _models_of(record: Path, twin: Twin) -> tuple[str, ...]:
+    return tuple(
+        name
+        for name, reference in twin.realizations.items()
+        if reference.record is not None and reference.record.path == record
+    )
 
 
 def model_of(basis: Basis, record: Record, twin: Twin) -> str | Path | None:
@@ -282,19 +319,22 @@ def _changed_parts(
         if old.digest == new.digest:
             continue
         if ident.startswith(EARLIER_RECORD) and (
-            state.where.startswith(_RANGES) or _is_replaced(old, new, state.record)
+            state.where.startswith(_TRIALS) or _is_replaced(old, new, state)
         ):
             continue
         named = Part(ident, old.content), Part(ident, new.content)
         yield InputChange(ident, new.digest, tuple(changes(*named)))
 
 
-def _is_replaced(old: Part, new: Part, record: Record) -> bool:
+def _is_replaced(old: Part, new: Part, state: RecordState) -> bool:
     """Whether an earlier record was removed and the record itself has all of its values."""
-    if new is not _ABSENT or not isinstance(record, IdentificationRecord):
+    if new is not _ABSENT:
         return False
-    return all(
-        set(values) <= set(record.fit.get(family, {}).get(name, {}))
+    if state.models:
+        # A model that a command wrote contains the values of the records before it.
+        return True
+    return isinstance(state.record, IdentificationRecord) and all(
+        set(values) <= set(state.record.fit.get(family, {}).get(name, {}))
         for family, elements in old.content.items()
         for name, values in elements.items()
     )
@@ -324,11 +364,15 @@ def _with_changed_files(state: RecordState, twin: Twin, digests: FileDigests) ->
         ]
         if present and sha256 not in present:
             found.append(_changed_file(name, sha256, present[0]))
+    compared = (
+        "the SHA-256 of its files is compared, so that a comment counts as a change, and changes "
+        f"of {twin.path.name} are not seen"
+        if record.inputs
+        else "whether they changed is not known"
+    )
     note = (
-        f"record {record.id!r} does not state which parts of its inputs it used (an earlier "
-        "version made it): the SHA-256 of its files is compared, so that a comment counts as a "
-        f"change, and changes of {twin.path.name} are not seen; pytest-twin {state.kind} again "
-        "states them"
+        f"record {record.id!r} does not state which inputs it used (an earlier version made it): "
+        f"{compared}; pytest-twin {state.kind} again states them"
     )
     inputs = frozenset(f"file:{name}" for name in record.inputs)
     return replace(state, changes=tuple(found), notes=(note,), inputs=inputs)
@@ -353,7 +397,7 @@ def with_records(
 
 def stale_lines(states: Sequence[RecordState], twin: Twin) -> tuple[str, ...]:
     """Return one line for each stale record."""
-    return tuple(state.line(twin) for state in states if state.touching)
+    return tuple(str(state.error(twin)) for state in states if state.touching)
 
 
 def stale_reasons(
