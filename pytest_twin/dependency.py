@@ -188,11 +188,19 @@ class Structure:
         """Id of the file that another simulator loads itself; empty without one."""
         return frozenset(self._existing({self._id("stage")}))
 
+    def elements(self) -> frozenset[str]:
+        """Id of the elements of the model's file, compiled or not; empty where they are unknown."""
+        return frozenset(self._existing({self._id("elements")}))
+
     def everything(self) -> frozenset[str]:
-        """Ids of all parts but visual shapes: for checks that may use any of the model's values."""
+        """Ids of all parts but visual shapes and elements that are not compiled: for checks that
+        may use any of the model's values."""
         shape = self._id("geom:")
         return self._cached(
-            "everything", lambda: frozenset(i for i in self.part_ids if not i.startswith(shape))
+            "everything",
+            lambda: (
+                frozenset(i for i in self.part_ids if not i.startswith(shape)) - self.elements()
+            ),
         )
 
     # -- kinematic tree

@@ -24,8 +24,8 @@ class Measure:
         error: deviation that the tolerance bounds, in ``unit``, not negative; NaN never passes.
         tolerance: largest allowed ``error``, in ``unit``.
         unit: SI unit.
-        against: source of the expected value: ``golden``, ``pinocchio``, ``coal``, ``declared``
-            or ``recording``.
+        against: source of the expected value: ``golden``, ``pinocchio``, ``coal``, ``declared``,
+            ``recording`` or ``audit``; for ``audit`` the subject is a whole sentence.
         time: time of the largest error, s, or None; for a mean (``..._rms``) the time of the
             sample that contributes most to it.
     """
@@ -118,6 +118,7 @@ class Outcome:
         plot: path of the plot, relative to the twin's root, or None.
         diagnosis: one line that names the probable cause of a failure against a recording, or
             None.
+        notes: what the result relies on and no tolerance bounds, one line each.
         seconds: wall time of the check, s.
     """
 
@@ -131,6 +132,7 @@ class Outcome:
     reasons: tuple[Reason, ...] = ()
     plot: str | None = None
     diagnosis: str | None = None
+    notes: tuple[str, ...] = ()
     seconds: float = 0.0
 
     @property
@@ -149,6 +151,7 @@ class Outcome:
         return fields | {
             "measures": [measure.to_json() for measure in self.measures],
             "reasons": [asdict(reason) for reason in self.reasons],
+            "notes": list(self.notes),
         }
 
     @classmethod
@@ -165,6 +168,8 @@ class Outcome:
             | {
                 "measures": tuple(Measure.from_json(measure) for measure in fields["measures"]),
                 "reasons": tuple(Reason(**reason) for reason in fields["reasons"]),
+                # Older releases have no notes.
+                "notes": tuple(str(note) for note in fields.get("notes", ())),
             }
         )
 

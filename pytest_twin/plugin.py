@@ -13,6 +13,7 @@ import pytest
 
 from pytest_twin.session.options import Options, add_options, read_options
 from pytest_twin.session.release_fixture import TwinRelease, twin_release
+from pytest_twin.session.result_folders import is_fitted_model
 from pytest_twin.systems import unsupported_system
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["TwinRelease", "twin_release"]
 
 _TWIN_FILE = "twin.yaml"
-_EFFECTS_FILE = "effects.json"
 _GOLDEN_FOLDER = "golden"
 _SOURCE_FOLDER = "source"
 _OWN_OUTPUT = ("releases", "keys", ".twin")
@@ -56,6 +56,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
                 f"no {_TWIN_FILE} at, above or below {', '.join(map(str, config.args))}: "
                 "pytest-twin init ROBOT makes one"
             )
+        if options.update:
+            _session(config).add_audits()
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
@@ -77,8 +79,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Col
     if file_path.suffix != ".yaml":
         return None
     if file_path.name == _TWIN_FILE:
-        if (file_path.parent / _EFFECTS_FILE).is_file():
-            # The file belongs to the patched model of a diagnosis: a realization, not a twin.
+        if is_fitted_model(file_path):
             return None
         if _refusal(parent.config) is not None:
             return RefusedTwin.from_parent(parent, path=file_path)

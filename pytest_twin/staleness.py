@@ -213,6 +213,9 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
             contents[f"sensor:{sensor.name}"] = asdict(sensor)
         for joint, step in record.encoder_steps.items():
             contents[f"encoder:{joint}"] = {"step [rad or m]": step}
+    contents["accepted:findings"] = {
+        finding: asdict(accepted) for finding, accepted in twin.accepted_findings.items()
+    }
     for name, part in twin.parts.items():
         content: dict[str, Any] = {"id": part.id, "value": part.value}
         if part.file is not None:

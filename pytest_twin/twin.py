@@ -284,6 +284,19 @@ class DeclaredPart:
 
 
 @dataclass(frozen=True, slots=True)
+class AcceptedFinding:
+    """A critical finding of the audit with which a release may be signed.
+
+    Attributes:
+        reason: why it is accepted.
+        owner: person who answers for it.
+    """
+
+    reason: str
+    owner: str
+
+
+@dataclass(frozen=True, slots=True)
 class ReleasePolicy:
     """Section ``release:`` of ``twin.yaml``.
 
@@ -359,6 +372,7 @@ class Twin:
         fits: records of ``pytest-twin identify`` under ``fit:``, the newest last.
         tcp: named frame of the tool centre point.
         retired: id of a golden that no longer exists -> reason.
+        accepted_findings: id of a critical finding of the audit -> who accepts it, and why.
         release: section ``release:``.
         fresh: smallest displacement that makes stamped data stale.
         excitation: section ``excitation:`` as written, with the limits that a person approved;
@@ -391,6 +405,7 @@ class Twin:
     parts: Mapping[str, DeclaredPart] = field(default_factory=dict)
     tcp: str | None = None
     retired: Mapping[str, str] = field(default_factory=dict)
+    accepted_findings: Mapping[str, AcceptedFinding] = field(default_factory=dict)
     release: ReleasePolicy = field(default_factory=ReleasePolicy)
     fresh: FreshPolicy = field(default_factory=FreshPolicy)
     excitation: Mapping[str, Any] | None = None
@@ -628,6 +643,11 @@ class _Reader:
             parts=self._parts(),
             tcp=data.get("tcp"),
             retired=dict(data.get("retired", {})),
+            accepted_findings={
+                finding: AcceptedFinding(entry["reason"], entry["owner"])
+                for entry in data.get("accepted_findings", ())
+                for finding in entry["findings"]
+            },
             release=ReleasePolicy(float(release.get("valid_days", ReleasePolicy().valid_days))),
             authority=self._authority(),
             residual=self._residual(),

@@ -164,6 +164,8 @@ class Shape:
         rotation: (3, 3) shape to body.
         file: file of a mesh.
         scale: (3,) scale of a mesh as stated.
+        masks: contype and conaffinity of MuJoCo; None where the format has no masks.
+        is_paired: whether an explicit contact pair contains it.
         triangles: triangles of a mesh, scaled, m; None for primitives and unreadable meshes.
     """
 
@@ -177,6 +179,8 @@ class Shape:
     file: Path | None = None
     scale: Vector = field(default_factory=lambda: np.ones(3))
     triangles: Triangles | None = None
+    masks: tuple[int, int] | None = None
+    is_paired: bool = False
 
 
 @dataclass(slots=True)
@@ -255,6 +259,8 @@ class Asset:
         files: every file that was read.
         located: folders that may contain its files, None for the default.
         unseen: layer that was not audited -> reason.
+        constrained: degrees of freedom that active constraints remove, followers and closed chains;
+            None where the format states no constraints, or they could not be counted.
     """
 
     kind: Literal["urdf", "mjcf", "usd"]
@@ -279,6 +285,7 @@ class Asset:
     files: list[Path] = field(default_factory=list)
     located: ModelFolders | None = None
     unseen: dict[str, str] = field(default_factory=dict)
+    constrained: int | None = None
 
     @property
     def place(self) -> Place:

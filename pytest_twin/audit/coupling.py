@@ -17,7 +17,9 @@ class DegreesOfFreedom:
 
     Attributes:
         total: degrees of freedom of all joints.
-        independent: degrees of freedom that do not follow another joint.
+        independent: degrees of freedom that remain with all followers and constraints.
+        constrained: degrees of freedom that closed chains and other constraints remove, besides
+            those of followers.
         follower: names of joints that follow another.
         passive: names of joints that are neither driven nor followers.
         sensed: names of joints whose state an interface or a sensor measures.
@@ -25,6 +27,7 @@ class DegreesOfFreedom:
 
     total: int
     independent: int
+    constrained: int
     follower: tuple[str, ...]
     passive: tuple[str, ...]
     sensed: tuple[str, ...]
@@ -43,9 +46,12 @@ def degrees_of_freedom(asset: Asset) -> DegreesOfFreedom:
     sensed |= {sensor.carrier for sensor in asset.sensors if sensor.carrier in asset.joint}
     total = sum(joint.dof for joint in asset.joints)
     moved = driven | set(followers)
+    following = sum(asset.joint[name].dof for name in followers)
+    removed = following if asset.constrained is None else max(asset.constrained, 0)
     return DegreesOfFreedom(
         total,
-        total - sum(asset.joint[name].dof for name in followers),
+        total - removed,
+        max(removed - following, 0),
         followers,
         tuple(joint.name for joint in asset.joints if joint.is_scalar and joint.name not in moved),
         tuple(joint.name for joint in asset.joints if joint.name in sensed),

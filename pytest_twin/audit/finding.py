@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -23,6 +23,8 @@ LAYERS: tuple[str, ...] = (
     "commands",
     "controllers",
 )
+LAYER_GROUP = "pytest_twin.audit_layers"
+"""Entry points of layers of other packages."""
 PLANNING = "planning"
 """The layer of findings in an SRDF, which is audited separately."""
 _LAYER_RANKS = {layer: rank for rank, layer in enumerate((*LAYERS, PLANNING))}
@@ -34,6 +36,10 @@ class Place:
 
     path: Path
     line: int | None = None
+
+    def __str__(self) -> str:
+        """File name and line, ``arm.urdf:12``."""
+        return self.path.name if self.line is None else f"{self.path.name}:{self.line}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +126,15 @@ def from_error(
     )
 
 
-def to_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
-    """Return findings as JSON data, sorted by severity, layer and place, with unique ids."""
+def verdict(counts: Mapping[str, int]) -> str:
+    """Return the verdict for the numbers of findings: critical, warnings or clean."""
+    if counts["critical"]:
+        return "critical"
+    return "warnings" if counts["warning"] else "clean"
+
+
+def by_id(findings: Iterable[Finding]) -> dict[str, Finding]:
+    """Return unique id -> finding, sorted by severity, layer and place."""
     ordered = sorted(
         findings,
         key=lambda f: (
@@ -134,9 +147,14 @@ def to_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
         ),
     )
     seen: dict[str, int] = {}
-    rows = []
+    identified = {}
     for finding in ordered:
         name = f"{finding.code}:{finding.element}"
         seen[name] = seen.get(name, 0) + 1
-        rows.append(finding.to_json(name if seen[name] == 1 else f"{name}#{seen[name]}"))
-    return rows
+        identified[name if seen[name] == 1 else f"{name}#{seen[name]}"] = finding
+    return identified
+
+
+def to_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Return findings as JSON data, sorted by severity, layer and place, with unique ids."""
+    return [finding.to_json(name) for name, finding in by_id(findings).items()]

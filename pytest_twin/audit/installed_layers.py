@@ -11,12 +11,10 @@ from typing import Protocol
 
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.evidence import Evidence
-from pytest_twin.audit.finding import LAYERS, PLANNING, SEVERITIES, Finding
+from pytest_twin.audit.finding import LAYER_GROUP, LAYERS, PLANNING, SEVERITIES, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.installed import entry_points_by_name, load_plugin, package_of, single_entry_point
-
-_GROUP = "pytest_twin.audit_layers"
 
 
 class Layer(Protocol):
@@ -35,7 +33,7 @@ class Layer(Protocol):
 
 def names() -> tuple[str, ...]:
     """Return the names of layers of installed packages, sorted."""
-    return tuple(sorted(entry_points_by_name(_GROUP)))
+    return tuple(sorted(entry_points_by_name(LAYER_GROUP)))
 
 
 def check(asset: Asset, known: Evidence, geometry: Geometry) -> Iterator[Finding]:
@@ -50,7 +48,7 @@ def check(asset: Asset, known: Evidence, geometry: Geometry) -> Iterator[Finding
 
 
 def _findings(name: str, asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
-    point = single_entry_point(entry_points_by_name(_GROUP)[name], "audit layer")
+    point = single_entry_point(entry_points_by_name(LAYER_GROUP)[name], "audit layer")
     if name in (*LAYERS, PLANNING):
         raise SpecError(
             f"{package_of(point)} provides an audit layer with the name of a built-in layer",

@@ -15,6 +15,7 @@ from pytest_twin.audit.geometry import Geometry, Solid
 from pytest_twin.realization import gltf
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.shapes import polyhedron
+from pytest_twin.words import counted, list_names
 
 _MANY_FACES = 20_000
 """Triangles of one collision mesh, above which loading and contact become slow."""
@@ -100,6 +101,7 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
         yield from _size(shape)
     yield from _units(asset, geometry)
     yield from _roles(asset, geometry)
+    yield from _masked(asset)
     first: dict[tuple[Path, tuple[float, ...]], Shape] = {}
     for shape in asset.shapes:
         if shape.file is not None and shape.triangles is not None:
@@ -192,12 +194,30 @@ def _units(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 if solid is None or solid.size <= 0:
                     continue
                 ratios = _inertial_ratios(body, solid)
-                other = geometry.body(name, "visual" if role == "collision" else "collision")
+                other = _other_size(shape, shapes, geometry, solid)
                 if other is not None:
-                    ratios[_OTHER] = solid.size / other.size
+                    ratios[_OTHER] = other
                 if asset.span > 0:
                     ratios[_REACH] = _span_ratio(solid, asset.span)
                 yield from _verdict(shape, solid, ratios)
+
+
+def _other_size(
+    shape: Shape, meshes: list[Shape], geometry: Geometry, solid: Solid
+) -> float | None:
+    """Return the ratio of a mesh's size to that of the link's other shapes; None without others.
+
+    A part may be far smaller than the link, if all meshes of its role together are not.
+    """
+    other = geometry.body(shape.body, "visual" if shape.role == "collision" else "collision")
+    if other is not None:
+        whole = geometry.body(shape.body, shape.role)
+        small = whole is not None and solid.size < _TOO_SMALL * other.size
+        return (whole.size if whole is not None and small else solid.size) / other.size
+    solids = (geometry.shape(mesh) for mesh in meshes if mesh is not shape)
+    largest = max((one.size for one in solids if one is not None), default=0.0)
+    # The largest part is not too large because the others are small.
+    return min(solid.size / largest, 1.0) if largest > 0.0 else None
 
 
 def _inertial_ratios(body: Body, solid: Solid) -> dict[str, float]:
@@ -231,7 +251,8 @@ def _verdict(shape: Shape, solid: Solid, ratios: dict[str, float]) -> Iterator[F
         # A part may be far smaller than its robot, so the reach gives no lower limit.
         judges = [what for what in ratios if words == "large" or what != _REACH]
         agreed = len(beyond) > len(judges) / 2
-        if not agreed and _OTHER not in beyond:
+        if _OTHER not in beyond and (not agreed or (words == "small" and _OTHER in ratios)):
+            # Beside other shapes of its link, a part may be small for the link's mass.
             continue
         against = ", ".join(f"{ratio:.3g} times {what}" for what, ratio in beyond.items())
         yield Finding(
@@ -282,6 +303,47 @@ def _roles(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 "contact happens where nothing is visible",
                 "draw both shapes in one viewer, and correct an origin",
             )
+
+
+def _masked(asset: Asset) -> Iterator[Finding]:
+    """Yield a finding of links whose collision shapes can touch no other link by their masks."""
+    bodies: dict[str, list[Shape]] = {}
+    for shape in asset.shapes:
+        if shape.role == "collision" and shape.masks is not None:
+            bodies.setdefault(shape.body, []).append(shape)
+    owners: dict[tuple[int, int], set[str]] = {}
+    for name, shapes in bodies.items():
+        for shape in shapes:
+            owners.setdefault(shape.masks or (0, 0), set()).add(name)
+
+    def can_touch(shape: Shape) -> bool:
+        contype, conaffinity = shape.masks or (0, 0)
+        return shape.is_paired or any(
+            (contype & other_conaffinity or other_contype & conaffinity) and names != {shape.body}
+            for (other_contype, other_conaffinity), names in owners.items()
+        )
+
+    masked = [name for name, shapes in bodies.items() if not any(map(can_touch, shapes))]
+    if len(bodies) < 2 or not masked:
+        return
+    everything = len(masked) == len(bodies)
+    shape = bodies[masked[0]][0]
+    yield Finding(
+        "meshes.masked",
+        "warning",
+        shape.place,
+        f"robot '{asset.name}'" if everything else f"link '{masked[0]}'",
+        f"no pair of its {sum(map(len, bodies.values()))} collision shapes can collide"
+        if everything
+        else f"the collision shapes of {counted(len(masked), 'link')} can collide with nothing: "
+        + list_names(masked),
+        f"contype {shape.masks[0]}, conaffinity {shape.masks[1]}" if shape.masks else None,
+        None,
+        "contype of one shape and conaffinity of the other with a bit in common",
+        "bodies pass through each other, and every contact test passes",
+        "set the masks, or declare the pairs under <contact>; for shapes that only show the robot "
+        "set both masks to 0",
+    )
 
 
 def _quality(fact: MeshFacts, shape: Shape, uses: list[Shape]) -> Iterator[Finding]:

@@ -9,18 +9,21 @@ from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import xml
-from pytest_twin.realization.files.locate import locate
+from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.search import SearchFolders
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
-def read(path: Path, search: SearchFolders | None = None) -> Asset:
+def read(
+    path: Path, search: SearchFolders | None = None, located: ModelFolders | None = None
+) -> Asset:
     """Read a URDF, MJCF or USD file for the audit.
 
     Args:
         path: the robot's file.
         search: folders that the user names for meshes and included files.
+        located: folders for meshes and included files, where they are known already.
 
     Raises:
         TwinError: the file holds no robot that can be read.
@@ -29,14 +32,16 @@ def read(path: Path, search: SearchFolders | None = None) -> Asset:
     if path.suffix.lower() in USD_SUFFIXES:
         from pytest_twin.audit.read_usd import read as read_stage
 
+        if located is not None:
+            return read_stage(path, located.roots.folders)
         return read_stage(path, () if search is None else search.roots)
     tag = xml.parse(path).tag
     if tag == "robot":
-        return _add_irregularities(read_urdf.read(path, locate(path, search=search)))
+        return _add_irregularities(read_urdf.read(path, located or locate(path, search=search)))
     if tag == "mujoco":
         from pytest_twin.audit.read_mjcf import read as read_model
 
-        return _add_irregularities(read_model(path, locate(path, search=search)))
+        return _add_irregularities(read_model(path, located or locate(path, search=search)))
     raise ModelError(
         "not a robot model", path=path, line=1, value=str(tag), expected="<robot> or <mujoco>"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -42,6 +43,8 @@ _MEANS = {
     "velocity": "velocity setpoint",
     "effort": "torque or force",
 }
+_LINE = re.compile(r"line (\d+)")
+_MOST_KEYFRAMES = 20
 _RADIANS_READ_AS_DEGREES = math.radians(2 * math.pi)
 """rad: a full turn in radians, interpreted as degrees."""
 
@@ -103,7 +106,7 @@ def read(path: Path, located: ModelFolders, *, limits: ModelLimits = LIMITS) -> 
                 settle="correct the element that it names",
             )
         )
-    _Compiled(spec, model, nodes, document.asset_paths, out).read()
+    _Compiled(spec, model, nodes, document, out).read()
     return out
 
 
@@ -130,6 +133,11 @@ class _Nodes:
         self.by_name: dict[tuple[str, str], Node] = {}
         self.named: list[tuple[str, str, Place]] = []
         self.twice = False
+        self.inertials = {
+            (node.path, node.line): Place(found.path, found.line)
+            for node in root.walk()
+            if node.tag == "body" and (found := node.find("inertial")) is not None
+        }
         for section in root.children:
             if section.tag == "default":
                 continue
@@ -158,10 +166,15 @@ class _Nodes:
         node = self.by_name.get((kind, name))
         return self.root if node is None else Place(node.path, node.line)
 
-    def inertial(self, body: str) -> Place:
-        node = self.by_name.get(("body", body))
-        found = None if node is None else node.find("inertial")
-        return self.place("body", body) if found is None else Place(found.path, found.line)
+    def inertial(self, body: str, place: Place | None = None) -> Place:
+        """File and line of a body's mass and inertia, or else of the body.
+
+        Args:
+            body: its name.
+            place: its place, where it is known.
+        """
+        place = place or self.place("body", body)
+        return self.inertials.get((place.path, place.line), place)
 
 
 def _bodies_of_text(root: Node, out: Asset) -> None:
@@ -212,14 +225,17 @@ class _Compiled:
         spec: mujoco.MjSpec,
         model: mujoco.MjModel,
         nodes: _Nodes,
-        assets: Mapping[str, Path],
+        document: mjcf.Document,
         out: Asset,
     ) -> None:
         self.spec = spec
         self.model = model
         self.nodes = nodes
-        self.assets = assets
+        self.assets = document.asset_paths
         self.out = out
+        self.lines = {} if document.models else _lines_of_elements(spec, document)
+        """Kind of element -> id -> file and line. Lines of attached models are those of another
+        document, so that only names lead to places there."""
         self.meshes: dict[int, Triangles] = {}
 
     def name(self, kind: str, index: int) -> str:
@@ -227,6 +243,11 @@ class _Compiled:
             self.model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), index
         )
         return found or f"{kind} {index}"
+
+    def place(self, kind: str, index: int) -> Place:
+        """File and line of an element; those of the whole model where they are unknown."""
+        found = self.lines.get(kind, {}).get(index)
+        return found or self.nodes.place(kind, self.name(kind, index))
 
     def read(self) -> None:
         self._bodies()
@@ -236,13 +257,14 @@ class _Compiled:
         self._actuators()
         self._rest()
         self._angles()
+        self.out.constrained = _constrained(self.model)
 
     def _bodies(self) -> None:
         model = self.model
         explicit = {body.id: bool(body.explicitinertial) for body in self.spec.bodies}
         for index in range(model.nbody):
             name = self.name("body", index)
-            place = self.nodes.place("body", name)
+            place = self.place("body", index)
             axes = _matrix(model.body_iquat[index])
             moments = np.diag(model.body_inertia[index])
             self.out.bodies.append(
@@ -253,7 +275,7 @@ class _Compiled:
                     model.body_ipos[index].copy(),
                     axes @ moments @ axes.T,
                     explicit.get(index, False),
-                    self.nodes.inertial(name),
+                    self.nodes.inertial(name, place),
                 )
             )
             if index:
@@ -294,7 +316,7 @@ class _Compiled:
             self.out.joints.append(
                 Joint(
                     name,
-                    self.nodes.place("joint", name),
+                    self.place("joint", index),
                     kind,
                     self.name("body", int(model.jnt_bodyid[index])),
                     model.jnt_axis[index].copy(),
@@ -330,13 +352,15 @@ class _Compiled:
             )
             kind, size = plain.get(int(model.geom_type[index]), ("other", lambda _: ()))
             shape = Shape(
-                self.nodes.place("geom", self.name("geom", index)),
+                self.place("geom", index),
                 self.name("body", int(model.geom_bodyid[index])),
                 "collision" if collides else "visual",
                 kind,
                 model.geom_pos[index].copy(),
                 _matrix(model.geom_quat[index]),
                 tuple(float(value) for value in size(model.geom_size[index])),
+                masks=(int(model.geom_contype[index]), int(model.geom_conaffinity[index])),
+                is_paired=index in paired,
             )
             if int(model.geom_type[index]) == int(kinds.mjGEOM_MESH):
                 self._mesh(shape, int(model.geom_dataid[index]))
@@ -363,7 +387,7 @@ class _Compiled:
         kinds = mujoco.mjtEq
         for index in range(model.neq):
             name = self.name("equality", index)
-            place = self.nodes.place("equality", name)
+            place = self.place("equality", index)
             kind = int(model.eq_type[index])
             first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
             words = kinds(kind).name.removeprefix("mjEQ_").lower()
@@ -400,7 +424,7 @@ class _Compiled:
                 elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
                     wraps.append(self.name("site", int(model.wrap_objid[wrap])))
             self.out.couplings.append(
-                Coupling(self.nodes.place("tendon", name), "tendon", name, tuple(wraps))
+                Coupling(self.place("tendon", index), "tendon", name, tuple(wraps))
             )
 
     def _actuators(self) -> None:
@@ -439,7 +463,7 @@ class _Compiled:
             bounded = bool(model.actuator_forcelimited[output])
             self.out.actuators.append(
                 Actuator(
-                    self.nodes.place("actuator", name),
+                    self.place("actuator", index),
                     name,
                     joints,
                     " and ".join(means[index]) if index in means else None,
@@ -464,7 +488,7 @@ class _Compiled:
                     carrier = self.name(words, int(model.sensor_objid[index]))
             self.out.sensors.append(
                 Sensor(
-                    self.nodes.place("sensor", name),
+                    self.place("sensor", index),
                     name,
                     mujoco.mjtSensor(int(model.sensor_type[index]))
                     .name.removeprefix("mjSENS_")
@@ -477,7 +501,7 @@ class _Compiled:
             self.out.sites[name] = (
                 self.name("body", int(model.site_bodyid[index])),
                 model.site_pos[index].copy(),
-                self.nodes.place("site", name),
+                self.place("site", index),
             )
         for index in range(model.nkey):
             # Keyframes follow the joint order of the compiled model; not all joints have names.
@@ -507,6 +531,52 @@ class _Compiled:
                     "compare one range with the data sheet of its joint",
                 )
             )
+
+
+def _lines_of_elements(spec: mujoco.MjSpec, document: mjcf.Document) -> dict[str, dict[int, Place]]:
+    """Return kind of element -> id in the compiled model -> file and line."""
+    found: dict[str, dict[int, Place]] = {}
+    for kind, elements in (
+        ("body", spec.bodies),
+        ("joint", spec.joints),
+        ("geom", spec.geoms),
+        ("site", spec.sites),
+        ("actuator", spec.actuators),
+        ("sensor", spec.sensors),
+        ("equality", spec.equalities),
+        ("tendon", spec.tendons),
+    ):
+        places = found.setdefault(kind, {})
+        for element in elements:
+            line = _LINE.fullmatch(element.info)
+            if line is not None and 1 <= int(line[1]) <= len(document.places):
+                places[element.id] = Place(*document.places[int(line[1]) - 1])
+    return found
+
+
+def _constrained(model: mujoco.MjModel) -> int:
+    """Degrees of freedom that active equality constraints remove, at the reference or a keyframe.
+
+    A singular pose removes fewer than others, so that the largest number counts.
+    """
+    data = mujoco.MjData(model)
+    most = 0
+    for pose in (model.qpos0, *model.key_qpos[:_MOST_KEYFRAMES]):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeConstraint(model, data)
+        equality = data.efc_type[: data.nefc] == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        rows = np.zeros((data.nefc, model.nv))
+        if data.nefc and mujoco.mj_isSparse(model):
+            mujoco.mju_sparse2dense(
+                rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
+            )
+        elif data.nefc:
+            rows = data.efc_J.reshape(data.nefc, model.nv)
+        if equality.any():
+            most = max(most, int(np.linalg.matrix_rank(rows[equality], tol=1e-6)))
+    return most
 
 
 def _matrix(quaternion: Vector) -> Vector:

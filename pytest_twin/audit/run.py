@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -33,7 +34,12 @@ from pytest_twin.audit.finding import LAYERS, SEVERITIES, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
 from pytest_twin.audit.self_collision import PoseResult
+from pytest_twin.audit.srdf import states
+from pytest_twin.audit.srdf.document import Srdf
 from pytest_twin.audit.srdf.files import srdfs_of
+from pytest_twin.errors import TwinError
+from pytest_twin.realization import urdf
+from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
@@ -95,7 +101,8 @@ def audit_file(
         geometry = Geometry(asset)
         findings = audit(asset, known, geometry)
         say(0.6)
-        results, more = self_collision.measure(asset, geometry, known.poses)
+        declared = {**_states_beside(asset), **known.poses}
+        results, more = self_collision.measure(asset, geometry, declared)
     say(0.8)
     found = report(asset, geometry, [*findings, *more])
     found["poses"] = self_collision.to_json(results)
@@ -106,27 +113,42 @@ def audit_file(
     return plain
 
 
+def _states_beside(asset: Asset) -> dict[str, dict[str, float]]:
+    """Return the named states of the SRDFs beside a URDF: ``group/state`` -> joint -> rad or m."""
+    found: dict[str, dict[str, float]] = {}
+    if asset.kind == "urdf":
+        for path in srdfs_of(asset.path, asset.name):
+            # The audit of the SRDF itself reports its faults.
+            with contextlib.suppress(TwinError):
+                found |= states.poses(Srdf(urdf.document(path), asset))
+    return found
+
+
+def findings_of(path: Path, located: ModelFolders | None = None) -> dict[str, Finding]:
+    """Return id -> finding of a file, without those about distances at poses.
+
+    Args:
+        path: the robot's file.
+        located: folders for meshes and included files, where they are known already.
+
+    Raises:
+        TwinError: the file holds no robot that can be read.
+    """
+    with suppress_mujoco_warnings():
+        asset = read(path, located=located)
+        return finding.by_id(audit(asset, Evidence(), Geometry(asset)))
+
+
 def critical_findings(path: str) -> list[str]:
     """Return critical findings of a file, one line of text each: file, line, element and fault.
 
     Raises:
         TwinError: the file holds no robot that can be read.
     """
-    with suppress_mujoco_warnings():
-        asset = read(Path(path))
-        findings = audit(asset, Evidence(), Geometry(asset))
     return [
-        ": ".join(
-            str(word)
-            for word in (
-                None if f.place is None else f"{f.place.path.name}:{f.place.line}",
-                f.element,
-                f.title,
-            )
-            if word
-        )
-        for f in findings
-        if f.severity == "critical"
+        ": ".join(str(word) for word in (one.place, one.element, one.title) if word)
+        for one in findings_of(Path(path)).values()
+        if one.severity == "critical"
     ]
 
 
@@ -177,7 +199,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
         "asset": str(asset.path),
         "kind": asset.kind,
         "robot": asset.name,
-        "verdict": "critical" if counts["critical"] else "clean",
+        "verdict": finding.verdict(counts),
         "counts": {severity: counts[severity] for severity in SEVERITIES},
         "layers": {
             layer: {
@@ -191,6 +213,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             "joints": len(asset.joints),
             "degrees_of_freedom": free.total,
             "independent": free.independent,
+            "constrained": free.constrained,
             "followers": list(free.follower),
             "passive": list(free.passive),
             "sensed": list(free.sensed),

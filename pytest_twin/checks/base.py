@@ -48,12 +48,15 @@ class Observation:
             ``values``; empty without one.
         against: series to plot with ``trace`` if it is compared with a recording instead of a
             stored trace, else None.
+        notes: what the result relies on and no tolerance bounds, one line each, for terminal,
+            report and release.
     """
 
     values: Mapping[str, Any]
     trace: Trace | None = None
     reference: Mapping[str, Any] = field(default_factory=dict)
     against: Trace | None = None
+    notes: tuple[str, ...] = ()
 
 
 class Check(ABC):
@@ -72,6 +75,8 @@ class Check(ABC):
         simulators: what can compute it; a realization on another is an error.
         recorded: whether goldens compare a realization with a recording, ``target.recording``.
             ``trial`` then reads it, and a failure can be diagnosed.
+        dynamic: whether goldens compare motions or efforts over time, which need masses, friction
+            and drives. A release without any says so.
     """
 
     kind: ClassVar[str]
@@ -82,6 +87,7 @@ class Check(ABC):
     schema: ClassVar[Mapping[str, Any]]
     simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco",)
     recorded: ClassVar[bool] = False
+    dynamic: ClassVar[bool] = False
 
     @abstractmethod
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

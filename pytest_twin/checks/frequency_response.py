@@ -82,6 +82,7 @@ class FrequencyResponse(Check):
     """
 
     kind: ClassVar[str] = "frequency_response"
+    dynamic: ClassVar[bool] = True
     tolerances: ClassVar[Mapping[str, str]] = {
         "magnitude": "dB",
         "phase": "rad",
@@ -233,6 +234,7 @@ class FrequencyResponse(Check):
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """Propose the first, middle and last commanded joint with a coherent response."""
+        proposals.require_mass(realization)
         joints = proposals.drivable(realization)
         chosen = sorted({0, len(joints) // 2, len(joints) - 1}) if joints else []
         timestep = float(realization.model.opt.timestep)

@@ -18,6 +18,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.fields import POSITION_UNIT, known_name, quantity, spec_error, tolerance
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, Pose, keyframe_parts, resolve_pose
+from pytest_twin.checks.proposals import require_mass
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SimulationError
 from pytest_twin.golden import Golden
@@ -222,6 +223,7 @@ class JointDirection(Check):
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """Propose every hinge and slide joint, with the body that it moves in the model."""
+        require_mass(realization)
         structure = realization.structure
         pose = Pose(REFERENCE, {}, None, realization.model.qpos0.copy())
         named_bodies = set(realization.names("body"))

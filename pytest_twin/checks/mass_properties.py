@@ -15,7 +15,7 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
-from pytest_twin.checks.fields import known_name, tolerance
+from pytest_twin.checks.fields import known_name, spec_error, tolerance
 from pytest_twin.checks.poses import (
     POSES_SCHEMA,
     REFERENCE,
@@ -23,6 +23,7 @@ from pytest_twin.checks.poses import (
     recorded_poses,
     resolve_poses,
 )
+from pytest_twin.checks.proposals import require_mass
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import position_error
@@ -109,6 +110,7 @@ class MassProperties(Check):
             known_name(golden, f"target.bodies.{i}", body, structure.body_parent, "body")
             for i, body in enumerate(golden.target.get("bodies", []))
         ]
+        _require_stated_masses(golden, realization, bodies)
         poses = resolve_poses(golden, realization)
         reference = realization.reference
         data = mujoco.MjData(model)
@@ -201,6 +203,7 @@ class MassProperties(Check):
         model = realization.model
         if float(np.sum(model.body_mass)) <= 0.0:
             raise NothingToProposeError("the model has no mass")
+        require_mass(realization)
         keyframes = [name for i in range(model.nkey) if (name := model.key(i).name)]
         bounds = {"mass": "1e-6 kg", "center_of_mass": "1 um"}
         types = {int(kind) for kind in model.jnt_type}
@@ -281,6 +284,30 @@ class MassProperties(Check):
             ]
             measures.append(max(candidates, key=lambda measure: _nan_first(measure.error)))
         return measures
+
+
+def _require_stated_masses(golden: Golden, realization: Realization, bodies: list[str]) -> None:
+    """Check that the compared masses are the robot's, and not made up so that it can be simulated.
+
+    Raises:
+        SpecError: the robot or a compared body has no mass.
+    """
+    from pytest_twin.realization.inertia import LEAST_MASS, MASS_FLOOR
+
+    model = realization.model
+    expected = "masses in the model's file, or in a fit of twin.yaml"
+    total = float(np.sum(model.body_mass))
+    if total < LEAST_MASS:
+        raise spec_error(
+            golden, "target", "the robot has no mass", value=total, unit="kg", expected=expected
+        )
+    for i, body in enumerate(bodies):
+        mass = float(model.body(body).mass[0])
+        if 0.0 < mass <= MASS_FLOOR:
+            raise spec_error(
+                golden, f"target.bodies.{i}", f"{body} has no mass",
+                value=mass, unit="kg", expected=expected,
+            )  # fmt: skip
 
 
 def _distance(found: list[float], expected: list[float] | None) -> float:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.fields import POSITION_UNIT
 from pytest_twin.checks.poses import REFERENCE, configuration
 from pytest_twin.golden import Golden
@@ -125,6 +126,20 @@ def _limb(model: mujoco.MjModel, body: int) -> int:
             first = body
         body = int(model.body_parentid[body])
     return first
+
+
+def require_mass(realization: Realization) -> None:
+    """Check that a joint moves a mass, so that forces and motions mean something.
+
+    Raises:
+        NothingToProposeError: no moving link has a mass.
+    """
+    from pytest_twin.realization.inertia import LEAST_MASS
+
+    model = realization.model
+    moved = [float(model.body_subtreemass[body]) for body in model.jnt_bodyid]
+    if moved and max(moved) < LEAST_MASS:
+        raise NothingToProposeError("no moving link has a mass; state masses in the model first")
 
 
 def draft(check: Check, realization: Realization, spec: Mapping[str, Any]) -> Golden:

@@ -102,6 +102,7 @@ class Replay(Check):
     """
 
     kind: ClassVar[str] = "replay"
+    dynamic: ClassVar[bool] = True
     recorded: ClassVar[bool] = True
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "mcap")
     tolerances: ClassVar[Mapping[str, str]] = _TOLERANCES

@@ -48,6 +48,7 @@ class Settling(Check):
     """
 
     kind: ClassVar[str] = "settling"
+    dynamic: ClassVar[bool] = True
     simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco", "newton")
     tolerances: ClassVar[Mapping[str, str]] = {
         "angle": "rad",

@@ -26,6 +26,7 @@ def first_specs(check: Check, realization: Realization) -> list[Mapping[str, Any
     if not realization.joints:
         jointed = realization.model.njnt > 0
         raise NothingToProposeError("no joint has a name" if jointed else "the robot has no joints")
+    proposals.require_mass(realization)
     actuation = proposals.Actuation.of(realization)
     bench: dict[str, Any] = {"pose": proposals.first_pose(realization)}
     notes: list[str] = []

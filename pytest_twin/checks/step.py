@@ -58,6 +58,7 @@ class Step(Check):
     """
 
     kind: ClassVar[str] = "step"
+    dynamic: ClassVar[bool] = True
     simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco", "newton")
     tolerances: ClassVar[Mapping[str, str]] = {
         **_METRICS,
@@ -185,6 +186,7 @@ class Step(Check):
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """Propose a small step of every drive, or a torque step of every joint without drives."""
+        proposals.require_mass(realization)
         actuation = proposals.Actuation.of(realization)
         specs = [
             self._joint_step(realization, joint, command, actuation)

@@ -47,6 +47,7 @@ class Task(Check):
     """
 
     kind: ClassVar[str] = "task"
+    dynamic: ClassVar[bool] = True
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy")
     tolerances: ClassVar[Mapping[str, str]] = {}
     schema: ClassVar[Mapping[str, Any]] = {

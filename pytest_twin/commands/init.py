@@ -21,18 +21,25 @@ from pytest_twin.commands.recording_arguments import (
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
+from pytest_twin.gate.coverage import AUDIT
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.runner import Runner
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.report.failure import what
 from pytest_twin.setup import writing
+from pytest_twin.setup.anew import propose_anew
 from pytest_twin.setup.asset_files import CopiedFiles, RobotFiles, copy_into_twin
 from pytest_twin.setup.recordings import ROOT, TaskTolerance, parse_tolerance, place_recordings
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
 from pytest_twin.words import counted
 
-HELP = "set up a twin for a robot's URDF or MJCF file: twin.yaml and recorded golden specs"
+HELP = (
+    "set up a twin for a robot's URDF or MJCF file: twin.yaml and recorded golden specs; or "
+    "propose the goldens of a twin anew, after its drives or its model changed"
+)
 EXAMPLES = (
     "pytest-twin init arm.urdf",
+    "pytest-twin init arm_twin/twin.yaml",
     "pytest-twin init vendor/arm.xml --out arm_twin",
     "pytest-twin init arm.urdf moves.mcap --tolerance 5mrad,wrist=2mrad",
 )
@@ -45,7 +52,13 @@ _FOR_THE_READER = ("Tolerance", "To write", "Not tested by this step")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("robot", metavar="ROBOT", type=Path, help="URDF (.urdf) or MJCF (.xml)")
+    parser.add_argument(
+        "robot",
+        metavar="ROBOT",
+        type=Path,
+        help="URDF (.urdf) or MJCF (.xml); or twin.yaml, to propose goldens anew: those that can "
+        "still be compared stay as they are",
+    )
     parser.add_argument(
         "recordings",
         metavar="RECORDING",
@@ -88,6 +101,8 @@ def run(args: argparse.Namespace) -> int:
         TwinError: the model cannot be loaded, or a twin exists already.
     """
     robot: Path = args.robot.resolve()
+    if robot.name == FILE_NAME:
+        return _propose_anew(robot, args)
     folder: Path = args.out.resolve()
     if not robot.is_file() or robot.suffix.lower() not in MODEL_SUFFIXES:
         raise SpecError(
@@ -168,6 +183,7 @@ def _set_up(
             inertia_repairs=seen["inertia_repairs"],
             motors=seen["motors"],
             reading=_reading(args),
+            critical=seen["critical"],
         )
         twin_file = writing.write_twin_file(folder, first)
         writing.write_schemas(folder)
@@ -191,7 +207,7 @@ def _set_up(
             found["none"].pop("replay", None)
             found["specs"] += [{"kind": "replay", **spec} for spec in replays["specs"]]
             found["silent"] |= replays["silent"]
-    if not found["specs"]:
+    if all(spec["kind"] == AUDIT for spec in found["specs"]):
         raise SpecError(
             "there is nothing to test in this model",
             path=args.robot,
@@ -218,7 +234,7 @@ def _set_up(
     }
     json_output.give(args, summary)
     atomic.write_text(folder / ".twin" / "init.json", json.dumps(summary, indent=2) + "\n")
-    kinds = sorted({Path(golden).parts[1] for golden in recorded})
+    kinds = sorted({Path(golden).parts[-2] for golden in recorded})
     show(f"{twin_file}: {len(recorded)} goldens of {len(kinds)} kinds: {', '.join(kinds)}")
     for kind, why in found["none"].items():
         show(f"nothing proposed for {kind}: {why}")
@@ -227,6 +243,59 @@ def _set_up(
             show(f"{note} ({_some(goldens)})")
     for where, why in summary["left_out"].items():
         show(f"left out: {where}: {why}")
+    _show_state(failing, unwritten)
+    return DONE
+
+
+def _propose_anew(twin_file: Path, args: argparse.Namespace) -> int:
+    if args.recordings or args.out != Path() or args.tolerance != TaskTolerance():
+        raise SpecError(
+            "a twin takes no recording, --tolerance or --out",
+            path=args.robot,
+            expected="twin.yaml alone; docs/how-to/replay_golden.md adds a replay golden",
+        )
+    with Runner() as runner:
+        gate = Gate(twin_file, runner)
+        with Sandbox(cwd=None) as sandbox, Progress("choosing goldens") as progress:
+            found = sandbox.call(
+                "pytest_twin.setup.inspection:first_specs",
+                {"twin": str(twin_file)},
+                progress=progress,
+            )
+            progress.begin("comparing goldens")
+            anew = propose_anew(gate, found["specs"], progress)
+    recorded, failing, left_out, unwritten = _record(twin_file, list(anew.written))
+
+    def names(reasons: Mapping[Path, str]) -> dict[str, str]:
+        return {path.relative_to(gate.root).as_posix(): why for path, why in reasons.items()}
+
+    summary = {
+        "twin": str(twin_file),
+        "goldens": recorded,
+        "replaced": names(anew.replaced),
+        "unchanged": anew.kept,
+        "cannot_be_compared": names(anew.broken),
+        "failing": failing,
+        "unwritten": unwritten,
+        "left_out": left_out | found["silent"],
+    }
+    json_output.give(args, summary)
+    show(
+        f"{twin_file}: {len(recorded)} goldens proposed and recorded, "
+        f"{len(anew.replaced)} of them in place of one that could not be compared; "
+        f"{anew.kept} unchanged"
+    )
+    for golden in recorded:
+        show(f"proposed: {golden}")
+    for where, why in summary["left_out"].items():
+        show(f"left out: {where}: {why}")
+    for where, why in summary["cannot_be_compared"].items():
+        show(f"cannot be compared: {where}: {why}; change it, or delete it and retire its id")
+    _show_state(failing, unwritten)
+    return DONE
+
+
+def _show_state(failing: Mapping[str, str], unwritten: Iterable[str]) -> None:
     for why in unwritten:
         show(f"to write: {why}")
     for where, why in failing.items():
@@ -235,7 +304,6 @@ def _set_up(
         show("next: pytest says why; pytest --twin-release signs once no golden fails")
     else:
         show("next: pytest --twin-release")
-    return DONE
 
 
 def _notes_of_asset(asset: tuple[Path, Manifest] | None, brought: CopiedFiles) -> Iterator[str]:
@@ -337,9 +405,5 @@ def _record(
                 continue
             recorded.append(golden.id)
             if outcome.status == "failed":
-                worst = min(outcome.measures, key=lambda measure: measure.margin)
-                failing[golden.id] = (
-                    f"{worst.name} of {worst.subject}: {worst.error:.3g} {worst.unit}, "
-                    f"tolerance {worst.tolerance:.3g} {worst.unit}"
-                )
+                failing[golden.id] = what(outcome)
     return recorded, failing, left_out, unwritten

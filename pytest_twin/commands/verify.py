@@ -13,6 +13,7 @@ from pytest_twin.commands.release_folder import release_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError, TwinError
 from pytest_twin.formats.stamps import is_carrier
+from pytest_twin.gate.coverage import Gap, gaps
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
 from pytest_twin.release.envelope import short_key_id
@@ -74,8 +75,13 @@ def run(args: argparse.Namespace) -> int:
     twin_file: Path = args.release / FILE_NAME
     if args.release != folder and twin_file.is_file():
         verdict = replace(verdict, problems=(*verdict.problems, *_stale_records(twin_file)))
-    json_output.give(args, verdict.to_json() | {"path": str(folder)})
-    show(_words(verdict, folder))
+    proofs = [] if verdict.release is None else verdict.release.goldens.values()
+    untested = gaps([proof.outcome for proof in proofs])
+    json_output.give(
+        args,
+        verdict.to_json() | {"path": str(folder), "not_tested": [gap.sentence for gap in untested]},
+    )
+    show(_words(verdict, folder, untested))
     return HOLDS if verdict.holds else DOES_NOT_HOLD
 
 
@@ -142,13 +148,14 @@ def _check_outside(path: Path, folder: Path) -> None:
         )
 
 
-def _words(verdict: release.Verdict, folder: Path) -> str:
+def _words(verdict: release.Verdict, folder: Path, untested: Sequence[Gap]) -> str:
     found = verdict.release
     if found is None:
         lines = [f"does not hold: {folder}"]
     else:
         header = found.header
         name = f"release {header.number} of {header.twin!r}"
+        name = ", ".join((name, *(gap.name for gap in untested)))
         lines = [f"holds: {name}" if verdict.holds else f"does not hold: {name}"]
         lines.append(
             f"  made {header.created}, valid until {header.expires}, "
@@ -161,6 +168,7 @@ def _words(verdict: release.Verdict, folder: Path) -> str:
                 f"  {counted(len(found.goldens), 'golden')}, "
                 f"{counted(len(found.files), 'file')} in the release{also}"
             )
+    lines += [f"  {gap.sentence}" for gap in untested]
     lines += [f"  {problem.text}" for problem in verdict.problems]
     # Statements and file names may contain terminal escape sequences.
     return "\n".join(printable(line) for line in lines)

@@ -80,7 +80,9 @@ def _update(update: Update) -> Iterator[str]:
     if len(changes) > MAX_CHANGES:
         yield f"  and {len(changes) - MAX_CHANGES} more values"
     for measure in update.measures:
-        if not measure.passed:
+        if not measure.passed and measure.against == "audit":
+            yield f"  but {measure.subject}"
+        elif not measure.passed:
             yield (
                 f"  but {measure.name} of {measure.subject} exceeds its tolerance of "
                 f"{quantity(measure.tolerance, measure.unit)} against {measure.against}"

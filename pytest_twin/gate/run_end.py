@@ -15,6 +15,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.gate.authority import difference_lines
+from pytest_twin.gate.coverage import Gap, assumptions, gaps
 from pytest_twin.gate.failure_diagnosis import RealizationDiagnosis
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import NEVER_PROVEN, Task, line_of
@@ -75,7 +76,8 @@ def finish(
     """
     plan = gate.plan()
     facts = gate.facts(session)
-    lines = [*plan.notes]
+    untested = gaps(_results(facts)) if policy.sign else ()
+    lines = [*(gap.sentence for gap in untested), *plan.notes]
     if not policy.sign:
         # A release lists them among its reasons.
         lines += plan.stale_records
@@ -105,6 +107,8 @@ def finish(
             verdict = Refused((str(error),))
     if isinstance(verdict, Refused):
         refusals = verdict.reasons
+    if policy.sign:
+        lines += assumptions(_results(facts))
     header = released.header if released else None
     for item in diagnosed:
         lines.append(
@@ -122,7 +126,17 @@ def finish(
     elif refusals:
         lines.append("no release:")
         lines += [f"  {reason}" for reason in refusals]
+        if any(outcome.status == "error" for outcome in facts.outcomes.values()):
+            lines.append(
+                f"  goldens that do not fit the model any more: pytest-twin init {gate.twin.path} "
+                "proposes them anew"
+            )
     return RunResult(bool(refusals), tuple(lines))
+
+
+def _results(facts: Facts) -> list[Outcome]:
+    """Results of this run, and of the baseline where they are still valid."""
+    return list({**facts.proven, **facts.outcomes}.values())
 
 
 def _write_report_with_notice(
@@ -209,6 +223,7 @@ def _report(
     from pytest_twin.release import environment
 
     plan = gate.plan()
+    untested = gaps(_results(facts)) if verdict is not None else ()
     failed = [
         outcome
         for outcome in facts.outcomes.values()
@@ -217,11 +232,15 @@ def _report(
     return Report(
         twin=gate.twin.name,
         verdict=_verdict_word(verdict, bool(failed)),
-        headline=_headline(facts, verdict, len(failed)),
+        headline=_headline(facts, verdict, len(failed), untested),
         created=header.created if header else datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         entries=tuple(_entries(gate, facts, diagnoses)),
         refusals=refusals,
-        notes=plan.notes,
+        notes=(
+            *(gap.sentence for gap in untested),
+            *(assumptions(_results(facts)) if verdict is not None else ()),
+            *plan.notes,
+        ),
         release=header.number if header else None,
         previous=facts.baseline,
         expires=header.expires if header else None,
@@ -238,14 +257,19 @@ def _verdict_word(verdict: Releasable | StillValid | Refused | None, failed: boo
     return {Releasable: "released", StillValid: "holds", Refused: "refused"}[type(verdict)]
 
 
-def _headline(facts: Facts, verdict: Releasable | StillValid | Refused | None, failed: int) -> str:
+def _headline(
+    facts: Facts,
+    verdict: Releasable | StillValid | Refused | None,
+    failed: int,
+    untested: Sequence[Gap],
+) -> str:
     ran, proven = len(facts.outcomes), len(facts.proven)
     counts = f"{ran} ran, {failed} critical failed, {proven} still proven"
     if not_run := len(facts.criticality.keys() - facts.outcomes.keys() - facts.proven.keys()):
         counts += f", {not_run} not run"
     if isinstance(verdict, Refused):
         return f"{verdict.reasons[0]} ({counts})"
-    return counts
+    return "; ".join((*(gap.name for gap in untested), counts))
 
 
 def _entries(gate: Gate, facts: Facts, diagnoses: Mapping[str, str]) -> Iterator[Entry]:

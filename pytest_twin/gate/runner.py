@@ -106,6 +106,7 @@ class Runner:
             reasons=reasons,
             plot=self._save_plot(twin, golden, realization, result.get("plot")),
             diagnosis=diagnosis,
+            notes=tuple(result.get("notes", ())),
             seconds=seconds,
         )
 

@@ -17,6 +17,7 @@ from pytest_twin.golden import Golden
 from pytest_twin.outcome import Measure
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.features.cache import Features
+from pytest_twin.realization.features.stated_elements import elements_part
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.realization.record_inputs import load_unfitted, unfitted
 from pytest_twin.report.plots import plot
@@ -38,7 +39,7 @@ def run_golden(
         progress: called with the fraction that is done, 0 to 1.
 
     Returns:
-        ``measures``, and ``plot``: SVG text or None.
+        ``measures``, ``plot``: SVG text or None, and ``notes``.
 
     Raises:
         TwinError: an error of the check, the model or a file.
@@ -177,10 +178,13 @@ def _comparison(
 ) -> dict[str, Any]:
     measures = check.compare(golden, observation, stored)
     failed = not all(measure.passed for measure in measures)
-    drawn = plots == "all" or (plots == "failed" and failed)
+    # An audit has sentences and no numbers to draw.
+    in_numbers = any(measure.against != "audit" for measure in measures)
+    drawn = in_numbers and (plots == "all" or (plots == "failed" and failed))
     return {
         "measures": [measure.to_json() for measure in measures],
         "plot": _plot(golden, measures, observation, stored) if drawn else None,
+        "notes": list(observation.notes),
     }
 
 
@@ -235,7 +239,10 @@ def features(twin: str, realization: str) -> dict[str, Any]:
         for ident, part in source.parts.items()
         if ident not in loaded.parts or loaded.parts[ident].digest != part.digest
     }
-    return Features(loaded.parts, loaded.structure, loaded.source.files, replaced).to_json()
+    elements = elements_part(loaded)
+    parts = {**loaded.parts, elements.id: elements}
+    structure = replace(loaded.structure, part_ids=frozenset(parts))
+    return Features(parts, structure, loaded.source.files, replaced).to_json()
 
 
 def source_features(twin: str, name: str, model: str) -> dict[str, Any]:

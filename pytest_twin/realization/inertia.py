@@ -10,6 +10,8 @@ Matrix = NDArray[np.float64]
 
 MASS_FLOOR = 1e-12
 """kg and kg*m^2. Mass and moments of a moving body without mass; too small to change the motion."""
+LEAST_MASS = 1e-6
+"""kg. Every body that states a mass has more; the sum of many ``MASS_FLOOR`` is less."""
 ROUNDING = 1e-5
 """Fraction of the largest moment. A smaller violation of the triangle inequality comes from
 rounded decimal numbers in the file."""

@@ -104,9 +104,12 @@ def summary(audit: Mapping[str, Any]) -> str:
             f"{counted(facts['end_effectors'], 'end effector')}, "
             f"{counted(facts['disabled_pairs'], 'disabled pair')}"
         )
+    removed = facts["constrained"]
+    by = f", {removed} removed by closed chains and other constraints" if removed else ""
     return (
         f"{facts['bodies']} bodies, {facts['joints']} joints, "
-        f"{facts['degrees_of_freedom']} degrees of freedom ({facts['independent']} independent), "
+        f"{facts['degrees_of_freedom']} degrees of freedom "
+        f"({facts['independent']} independent{by}), "
         f"{number(facts['mass']['value'])} kg"
     )
 
@@ -158,8 +161,8 @@ def _layers(audit: Mapping[str, Any]) -> list[str]:
 def headline(audit: Mapping[str, Any]) -> str:
     """Return a line with the verdict and the counts."""
     counts = audit["counts"]
-    said = "CRITICAL" if counts["critical"] else "clean"
-    return f"{audit['asset']}: {said}: " + ", ".join(
+    verdict = {"critical": "CRITICAL"}.get(audit["verdict"], audit["verdict"])
+    return f"{audit['asset']}: {verdict}: " + ", ".join(
         f"{counts[severity]} {severity}" for severity in MARKS
     )
 
@@ -210,7 +213,6 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
     ]
     return _template().render(
         audit=audit,
-        good=not audit["counts"]["critical"],
         style=style.text,
         style_hash=style.sha256,
         layers=[(name, _TITLES.get(name) or _title(name)) for name in audit["layers"]],

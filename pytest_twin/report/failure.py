@@ -12,6 +12,11 @@ MAX_ROWS = 40
 MAX_REASONS = 8
 """Largest number of changes that are listed as reasons."""
 
+_AFTER_AUDIT = (
+    "correct the file, or accept each finding by name in twin.yaml, under accepted_findings:, with "
+    "a reason and an owner"
+)
+
 
 def headline(outcome: Outcome) -> str:
     """Return a line with the golden and its worst measure or error."""
@@ -23,6 +28,8 @@ def what(outcome: Outcome) -> str:
     worst = outcome.worst
     if outcome.status == "error" or worst is None:
         return printable(outcome.error or "nothing was measured")
+    if worst.against == "audit":
+        return printable(worst.subject)
     if outcome.status == "passed":
         return printable(f"{worst.name} of {worst.subject} used {use(worst)} of its tolerance")
     failed = [measure for measure in outcome.measures if not measure.passed]
@@ -46,7 +53,12 @@ def failure_text(
         lines.append(printable(f"  diagnosis (quick): {outcome.diagnosis}{advice}"))
     worst = outcome.worst
     rows: list[tuple[str, str]] = []
-    if outcome.status != "error" and worst is not None:
+    audited = worst is not None and worst.against == "audit"
+    if audited:
+        failed = [measure.subject for measure in outcome.measures if not measure.passed]
+        rows += [("" if i else "critical", text) for i, text in enumerate(failed[1:])]
+        rows.append(("next", _AFTER_AUDIT))
+    elif outcome.status != "error" and worst is not None:
         when = f" {worst.when}" if worst.when else ""
         rows += [
             ("worst", f"{worst.name} of {worst.subject}{when}"),
@@ -62,7 +74,7 @@ def failure_text(
         rows.append(("plot", plot))
     width = max(len(name) for name, _ in rows)
     lines += [f"  {name:<{width}}  {printable(text)}".rstrip() for name, text in rows]
-    if len(outcome.measures) > 1:
+    if len(outcome.measures) > 1 and not audited:
         lines += ["", *measure_table(outcome.measures)]
     return "\n".join(lines)
 

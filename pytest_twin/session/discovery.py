@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from pytest_twin.gate.specs import GOLDEN_FOLDER, is_reserved
-from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, find_twin
+from pytest_twin.session.result_folders import is_fitted_model
+from pytest_twin.twin import FILE_NAME, find_twin
 
 
 def twin_files(
@@ -40,8 +41,7 @@ def _reaches_specs(start: Path, root: Path) -> bool:
 
 def _below(start: Path, skipped: list[str]) -> Iterator[Path]:
     for here, folders, files in os.walk(start):
-        # With effects.json next to it, the file belongs to the patched model of a diagnosis.
-        has_twin = FILE_NAME in files and EFFECTS_FILE not in files
+        has_twin = FILE_NAME in files and not is_fitted_model(Path(here) / FILE_NAME)
         if has_twin:
             yield Path(here) / FILE_NAME
         folders[:] = [

@@ -87,6 +87,25 @@ class TwinSession:
 
     # -- collection
 
+    def add_audits(self) -> None:
+        """Write the golden that audits the model into each twin without one, before collection.
+
+        A run of selected goldens adds none: it would not record it.
+        """
+        from pytest_twin.setup.missing_audit import add_audit
+
+        if tuple(selection.selected_by(self.config)) or self.config.getoption("collectonly"):
+            return
+        for gate in self.gates.values():
+            if selection.partial_arguments(self.config, gate.root):
+                continue
+            try:
+                path = add_audit(gate.twin)
+            except TwinError as error:
+                raise pytest.UsageError(str(error)) from None
+            if path is not None:
+                self.progress.say(f"{path}: a new golden, which audits the model")
+
     def gate(self, twin_file: Path) -> Gate | None:
         """The gate of a twin, None where its ``twin.yaml`` is not valid."""
         if twin_file not in self.gates and twin_file not in self.broken:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.audit.run import findings_of
 from pytest_twin.checks import check_of, kinds
 from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.proposals import Actuation, fixed_base
@@ -17,16 +18,12 @@ from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.twin import load_twin
 
 _TOOL = re.compile(r"(^|_)(tcp|tool0?|ee|ee_link|end_effector|gripper_?frame)$", re.IGNORECASE)
-_DYNAMIC_KINDS = ("frequency_response", "joint_direction", "settling", "step")
-"""Kinds of golden whose values depend on forces and masses."""
-_MIN_MASS = 1e-6
-"""kg. The mass of any link is larger; a link without mass gets 1e-12 kg when it is loaded."""
 
 
 def inspect_model(
     model: str, packages: Mapping[str, str] | None = None, roots: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Inspect a model: its files, repaired inertias, notes, tool frame and motors.
+    """Inspect a model: files, repaired inertias, notes, critical findings, tool frame, motors.
 
     Args:
         model: path of the model file.
@@ -57,6 +54,11 @@ def inspect_model(
             link: [float(value) for value in values]
             for link, values in source.inertia_repairs.items()
         },
+        "critical": [
+            finding
+            for finding, one in findings_of(realization.path, located).items()
+            if one.severity == "critical"
+        ],
         "tcp": _last_frame(realization),
         "motors": _motors(realization),
     }
@@ -107,11 +109,7 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
     specs: list[dict[str, Any]] = []
     silent: dict[str, str] = {}
     none: dict[str, str] = {}
-    weightless = _is_weightless(realization)
     for done, kind in enumerate(kinds()):
-        if weightless and kind in _DYNAMIC_KINDS:
-            none[kind] = "no moving link has a mass; state masses in the model first"
-            continue
         try:
             found = check_of(kind).first(realization)
         except NothingToProposeError as reason:
@@ -128,13 +126,6 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
         specs += [{"kind": kind, **_round_numbers(spec)} for spec in found]
         progress((done + 1) / len(kinds()))
     return {"specs": specs, "silent": silent, "none": none}
-
-
-def _is_weightless(realization: Realization) -> bool:
-    """Whether no joint moves a mass, so that simulated dynamics are not meaningful."""
-    model = realization.model
-    moved = [float(model.body_subtreemass[body]) for body in model.jnt_bodyid]
-    return bool(moved) and max(moved) < _MIN_MASS
 
 
 def _last_frame(realization: Realization) -> str | None:

@@ -19,14 +19,14 @@ from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.file_names import portable_names
 from pytest_twin.gate.schema import golden_schema, modeline
+from pytest_twin.gate.specs import GOLDEN_FOLDER
 from pytest_twin.setup.asset_files import ASSET
 from pytest_twin.twin import FILE_NAME
 
 _SCHEMAS = "schemas"
-_GOLDEN = "golden"
 _IGNORED = ".gitignore"
 _ATTRIBUTES = ".gitattributes"
-_WRITTEN_NAMES = (FILE_NAME, ASSET, _SCHEMAS, _GOLDEN, ".twin", _IGNORED, _ATTRIBUTES)
+_WRITTEN_NAMES = (FILE_NAME, ASSET, _SCHEMAS, GOLDEN_FOLDER, ".twin", _IGNORED, _ATTRIBUTES)
 _BYTE_EXACT = """\
 # Digests of goldens, traces, keys and releases are over bytes: git must not convert line endings.
 * -text
@@ -80,6 +80,7 @@ class FirstTwin:
         inertia_repairs: link -> inertia (6,) [kg*m^2] that replaces an inconsistent one.
         motors: actuator -> ``hinge`` or ``slide``, for a URDF, which states no controller.
         reading: options of recordings, such as ``topics``, ``joints`` and ``clock``.
+        critical: ids of the critical findings of the audit.
     """
 
     name: str
@@ -90,6 +91,7 @@ class FirstTwin:
     inertia_repairs: Mapping[str, Sequence[float]]
     motors: Mapping[str, str]
     reading: Mapping[str, Any]
+    critical: Sequence[str] = ()
 
 
 def write_twin_file(folder: Path, first: FirstTwin) -> Path:
@@ -123,8 +125,25 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
     head = modeline(f"{_SCHEMAS}/twin.schema.json")
     path = folder / FILE_NAME
     servos = _servo_lines(motors, with_fit=bool(inertia_repairs)) if motors else ""
-    atomic.write_text(path, f"{head}\n{_dump(content)}{servos}{_RULES}")
+    atomic.write_text(
+        path, f"{head}\n{_dump(content)}{servos}{_acceptance(first.critical)}{_RULES}"
+    )
     return path
+
+
+def _acceptance(critical: Sequence[str]) -> str:
+    """Commented lines with which a person accepts critical findings; empty without any."""
+    if not critical:
+        return ""
+    listed = "".join(
+        f"#       - {json.dumps(finding, ensure_ascii=False)}\n" for finding in critical
+    )
+    return (
+        "# The audit finds these faults in the model. Correct the file; or, to release it with\n"
+        "# some of them, take the # off these lines, delete the others, write reason and owner:\n"
+        f"# accepted_findings:\n#   - findings:\n{listed}"
+        "#     reason: why this twin may be released with them\n#     owner: your name\n"
+    )
 
 
 def _relative_path(folder: Path, path: Path) -> str:
@@ -155,29 +174,38 @@ def write_specs(folder: Path, specs: Sequence[Mapping[str, Any]]) -> list[Path]:
     Raises:
         SpecError: a golden exists already.
     """
+    places = spec_places(folder, specs)
+    for path in places:
+        if path.exists():
+            raise SpecError("the golden exists already", path=path, expected="a new folder")
+    for path, spec in places.items():
+        write_spec(folder, path, spec)
+    return list(places)
+
+
+def spec_places(folder: Path, specs: Sequence[Mapping[str, Any]]) -> dict[Path, Mapping[str, Any]]:
+    """Return the file of each spec in a twin's folder -> the spec."""
+    # In a twin's folder that is itself named golden, all folders have specs.
+    base = folder if folder.name == GOLDEN_FOLDER else folder / GOLDEN_FOLDER
     names: dict[str, list[str]] = {}
     for spec in specs:
         names.setdefault(str(spec["kind"]), []).append(str(spec["name"]))
     files = {kind: portable_names(of_kind) for kind, of_kind in names.items()}
-    return [
-        _write_spec(
-            folder / _GOLDEN / spec["kind"] / f"{files[spec['kind']][spec['name']]}.yaml", spec
-        )
-        for spec in specs
-    ]
+    return {
+        base / spec["kind"] / f"{files[spec['kind']][spec['name']]}.yaml": spec for spec in specs
+    }
 
 
-def _write_spec(path: Path, spec: Mapping[str, Any]) -> Path:
+def write_spec(folder: Path, path: Path, spec: Mapping[str, Any]) -> None:
+    """Write one spec of the twin in ``folder``, without recorded values; replace what is there."""
     body = {"schema": 1, **spec}
     del body["name"]
     notes = body.pop("notes", [])
-    if path.exists():
-        raise SpecError("the golden exists already", path=path, expected="a new folder")
     path.parent.mkdir(parents=True, exist_ok=True)
-    head = modeline(f"../../{_SCHEMAS}/golden.schema.json")
+    schema = folder / _SCHEMAS / "golden.schema.json"
+    head = f"{modeline(os.path.relpath(schema, path.parent))}\n" if schema.is_file() else ""
     comments = "".join(f"{line}\n" for note in notes for line in _comment(note))
-    atomic.write_text(path, f"{head}\n{comments}{_dump(body)}")
-    return path
+    atomic.write_text(path, f"{head}{comments}{_dump(body)}")
 
 
 def _comment(note: str) -> list[str]:

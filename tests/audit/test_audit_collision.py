@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from audited import changed, robots, write_clean
+from audited import box_stl, changed, findings_of, only, robots, write_clean
 
 from pytest_twin.audit import render, self_collision
 from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
+from pytest_twin.audit.run import audit_file
 
 BACK = {"back": {"elbow": 3.1}}
 
@@ -126,3 +127,67 @@ def test_simplified_meshes_keep_their_extent() -> None:
 
 def test_empty_evidence_declares_no_pose() -> None:
     assert Evidence().poses == {}
+
+
+MASKED = """<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <geom type="plane" size="5 5 .1" contype="1" conaffinity="0"/>
+    <body name="a" pos="0 0 .5">
+      <joint name="j1" axis="0 1 0" range="-1 1"/>
+      <geom type="box" size=".1 .1 .1" mass="1" contype="1" conaffinity="0"/>
+      <body name="b" pos="0 0 -.35">
+        <joint name="j2" axis="1 0 0" range="-1 1"/>
+        <geom name="tip" type="box" size=".05 .05 .1" mass="1" contype="1" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "elements"),
+    [
+        ("", "", ["robot 'masked'"]),
+        ('conaffinity="0"/>\n    <body name="a"', 'conaffinity="1"/>\n    <body name="a"', []),
+        ("</worldbody>", '</worldbody><contact><pair geom1="tip" geom2="floor"/></contact>', None),
+        ('mass="1" contype="1" conaffinity="0"', 'mass="1" contype="0" conaffinity="0"', []),
+    ],
+    ids=["no pair", "with the floor", "an explicit pair", "the robot is only drawn"],
+)
+def test_shapes_whose_masks_exclude_every_pair_are_a_warning(
+    tmp_path: Path, old: str, new: str, elements: list[str] | None
+) -> None:
+    text = MASKED.replace(old, new) if old else MASKED
+    path = tmp_path / "masked.xml"
+    path.write_text(text.replace('<geom type="plane"', '<geom name="floor" type="plane"'))
+    found = only(findings_of(path), "meshes.masked")
+    # With the pair of floor and tip, only the shape of a can touch nothing.
+    assert [row["element"] for row in found] == (["link 'a'"] if elements is None else elements)
+    assert {row["severity"] for row in found} <= {"warning"}
+
+
+def test_named_states_of_the_srdf_beside_a_urdf_are_measured(tmp_path: Path) -> None:
+    path = write_clean(tmp_path)
+    (tmp_path / "robot.srdf").write_text(
+        '<robot name="clean"><group name="arm"><joint name="elbow"/></group>'
+        '<group_state name="folded" group="arm"><joint name="elbow" value="3.1"/></group_state>'
+        "</robot>"
+    )
+    report = audit_file(str(path))
+    assert [pose["pose"] for pose in report["poses"]] == [self_collision.BASE_POSE, "arm/folded"]
+    found = only(report["findings"], "meshes.self_collision")
+    assert any("'arm/folded'" in row["title"] for row in found)
+    assert report["verdict"] == "warnings"
+
+
+def test_a_small_mesh_among_the_meshes_of_a_link_is_no_finding(tmp_path: Path) -> None:
+    bar = '<geometry><mesh filename="bar.stl"/></geometry>'
+    screw = bar.replace("bar.stl", "screw.stl")
+    text = changed((bar, f"{bar}</collision><collision>{screw}"))
+    (tmp_path / "screw.stl").write_bytes(box_stl((0.003, 0.003, 0.003)))
+    assert only(findings_of(write_clean(tmp_path, text)), "meshes.units") == []
+    (tmp_path / "screw.stl").write_bytes(box_stl((2e-4, 5e-5, 5e-5)))
+    (found,) = only(findings_of(write_clean(tmp_path, text)), "meshes.units")
+    assert "the link's other shape" in found["title"]

@@ -9,6 +9,7 @@ import pytest
 from audited import findings_of, line_of, only, robots, write_clean
 from scipy.spatial.transform import Rotation
 
+from pytest_twin.audit.coupling import degrees_of_freedom
 from pytest_twin.audit.finding import LAYERS
 from pytest_twin.audit.read import read
 from pytest_twin.audit.read_usd import fan
@@ -265,3 +266,49 @@ def test_a_file_with_an_unknown_root_element_is_refused(tmp_path: Path) -> None:
     path = write_clean(tmp_path, "<sdf/>", "robot.sdf")
     with pytest.raises(ModelError, match=r"robot\.sdf:1: not a robot model"):
         read(path)
+
+
+UNNAMED = """<mujoco model="four_bar">
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="crank">
+      <joint name="a" axis="0 1 0" range="-1 1"/>
+      <geom type="box" size="0.01 0.01 0.1" pos="0 0 0.1"/>
+      <body pos="0 0 0.2">
+        <joint name="b" axis="0 1 0"/>
+        <inertial pos="0.1 0 0" mass="1" diaginertia="1 1 1.9"/>
+        <geom type="box" size="0.1 0.01 0.01" pos="0.1 0 0"/>
+      </body>
+    </body>
+    <body name="rocker" pos="0.2 0 0">
+      <joint axis="0 1 0"/>
+      <geom type="box" size="0.01 0.01 0.1" pos="0 0 0.1"/>
+      <site name="end" pos="0 0 0.2"/>
+    </body>
+  </worldbody>
+  <equality>
+    <connect body1="rocker" body2="body_2" anchor="0 0 0.2"/>
+  </equality>
+</mujoco>
+"""
+
+
+def test_a_finding_of_an_unnamed_element_of_an_mjcf_is_at_its_line(tmp_path: Path) -> None:
+    text = UNNAMED[: UNNAMED.index("  <equality>")] + "</mujoco>\n"
+    path = tmp_path / "unnamed.xml"
+    path.write_text(text)
+    rows = findings_of(path)
+    lines = {row["line"] for row in rows if row["element"] == "joint 'joint 2'"}
+    assert lines == {line_of(text, '<joint axis="0 1 0"/>')}
+    lines = {row["line"] for row in rows if row["code"] == "inertia.too_large"}
+    assert lines == {line_of(text, "<inertial")}
+
+
+def test_a_closed_chain_removes_degrees_of_freedom(tmp_path: Path) -> None:
+    path = tmp_path / "four_bar.xml"
+    path.write_text(UNNAMED.replace('<body pos="0 0 0.2">', '<body name="body_2" pos="0 0 0.2">'))
+    # A planar four-bar linkage has three joints and one degree of freedom.
+    free = degrees_of_freedom(read(path))
+    assert (free.total, free.constrained, free.independent) == (3, 2, 1)
+    path.write_text(path.read_text().replace("<connect ", '<connect active="false" '))
+    assert degrees_of_freedom(read(path)).independent == 3

@@ -46,6 +46,14 @@ MODEL = """\
 </mujoco>
 """
 
+TWIN = """\
+name: arm
+model: arm.xml
+tcp: tcp
+retired:
+  golden/asset/audit: the audit has its own tests
+"""
+
 FK = """\
 schema: 1
 kind: fk
@@ -143,7 +151,7 @@ def templates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (new / "golden" / "fk").mkdir(parents=True)
     (new / "golden" / "mass").mkdir()
     (base / "new" / "home").mkdir()
-    (new / "twin.yaml").write_text("name: arm\nmodel: arm.xml\ntcp: tcp\n")
+    (new / "twin.yaml").write_text(TWIN)
     (new / "arm.xml").write_text(MODEL)
     (new / "golden" / "fk" / "home.yaml").write_text(FK)
     (new / "golden" / "mass" / "arm.yaml").write_text(MASS.replace("CRITICALITY", "critical"))

@@ -109,7 +109,9 @@ def test_a_missing_golden_refuses_the_release_until_it_is_retired(released) -> N
     assert_release_refused(
         released, "golden/fk/home: no spec: restore it, or give a reason under 'retired:'"
     )
-    released.edit("twin.yaml", "tcp: tcp", "retired: {golden/fk/home: replaced by a better one}")
+    released.edit(
+        "twin.yaml", "retired:\n", "retired:\n  golden/fk/home: replaced by a better one\n"
+    )
     released.run("--twin-release").stdout.fnmatch_lines(["release 0002 signed: *"])
     assert list(_results(released, "0002")) == ["golden/mass/arm"]
 

@@ -79,7 +79,7 @@ def _report(srdf: Srdf, findings: list[Finding]) -> dict[str, Any]:
         "asset": str(srdf.root.path),
         "kind": "srdf",
         "robot": srdf.root.attributes.get("name", ""),
-        "verdict": "critical" if counts["critical"] else "clean",
+        "verdict": finding.verdict(counts),
         "counts": {severity: counts[severity] for severity in SEVERITIES},
         "layers": {PLANNING: {severity: counts[severity] for severity in SEVERITIES}},
         "facts": {
