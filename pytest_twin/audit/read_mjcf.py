@@ -133,7 +133,7 @@ class _Nodes:
         self.by_name: dict[tuple[str, str], Node] = {}
         self.named: list[tuple[str, str, Place]] = []
         self.twice = False
-        self.inertials = {
+        self.inertials: dict[tuple[Path, int | None], Place] = {
             (node.path, node.line): Place(found.path, found.line)
             for node in root.walk()
             if node.tag == "body" and (found := node.find("inertial")) is not None

@@ -25,8 +25,8 @@ LINK = (
 MASS = """<inertial><mass value='2'/>
 <inertia ixx='.008' iyy='.008' izz='.004' ixy='0' ixz='0' iyz='0'/></inertial>"""
 JOINT = """<joint name='{name}' type='revolute'><parent link='{parent}'/><child link='{child}'/>
-<origin xyz='0 0 .3'/><axis xyz='0 1 0'/><limit lower='-1' upper='1' velocity='2' effort='{effort}'/>
-</joint>"""
+<origin xyz='0 0 .3'/><axis xyz='0 1 0'/><limit lower='-1' upper='1' velocity='2'
+effort='{effort}'/></joint>"""
 FINDING = "inertia.moving_without:link 'upper'"
 
 

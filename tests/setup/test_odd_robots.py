@@ -178,10 +178,11 @@ def test_for_a_robot_without_masses_no_golden_that_needs_forces_is_proposed(tmp_
     assert "bare.urdf:1: 2 moving links have no inertia ('a', 'b'): raised to" in done.stdout
     report = json.loads((tmp_path / "twin/.twin/init.json").read_text())
     none = "no moving link has a mass; state masses in the model first"
-    for kind in ("step", "settling", "frequency_response", "joint_direction"):
+    for kind in ("step", "settling", "frequency_response", "joint_direction", "mass_properties"):
         assert report["nothing_to_propose"][kind] == none
     assert {golden.split("/")[1] for golden in report["goldens"]} >= {"fk", "limits"}
-    assert report["left_out"] == report["failing"] == {}
+    assert report["left_out"] == {}
+    assert list(report["failing"]) == ["golden/asset/audit"]
 
 
 def test_notes_of_the_same_kind_are_printed_as_one_line(tmp_path: Path) -> None:
