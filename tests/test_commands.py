@@ -17,7 +17,7 @@ from pytest_twin import cli
 from pytest_twin.formats.schema import load_schema
 
 GOLDEN = Path(__file__).parents[1] / "golden"
-_BUILD_ON_REPLAY = ("diagnose", "excite", "identify")
+_BUILD_ON_REPLAY = ("diagnose", "excite", "identify", "show")
 LOADED = """
 import sys
 from pytest_twin import cli

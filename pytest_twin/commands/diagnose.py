@@ -269,6 +269,7 @@ def diagnose_files(
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
+    from pytest_twin.trial.command_field import refuse_unfit_modes
 
     asked = DiagnosisRequest(**request)
     options = RecordingOptions.from_json(asked.options)
@@ -281,6 +282,8 @@ def diagnose_files(
         loaded.realization.structure,
         options.over(loaded.options),
     )
+    for trial in (*trials.fit, *trials.held_out):
+        refuse_unfit_modes(loaded.realization.structure, trial)
     seconds = asked.seconds
     budget = Budget(seconds, own_time=asked.own_time)
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.recording import TOPICS, JointSeries, Recording, Topic
 from pytest_twin.formats.recordings.candidates import describe, pairs, topics_option
@@ -30,18 +32,21 @@ _PAIRS = 4
 """Largest number of proposed pairs of topics."""
 
 
-def survey(recording: Recording, options: RecordingOptions) -> dict[str, Any]:
+def survey(
+    recording: Recording, options: RecordingOptions, structure: Structure | None = None
+) -> dict[str, Any]:
     """Return the summary of a recording as JSON data.
 
     Args:
         recording: the recording.
         options: options with which a command would read it.
+        structure: structure of the model; None without a model.
     """
     missing, advice = _missing_roles(recording), []
     usable, notes = None, list(recording.notes)
     if not missing:
         try:
-            trials = make_trials(recording, None, options)
+            trials = make_trials(recording, structure, options)
         except TwinError as error:
             missing.append(str(error))
         else:
@@ -199,7 +204,7 @@ def _advice(recording: Recording) -> list[str]:
     return found
 
 
-def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
+def in_words(kind: str, one: Mapping[str, Any], model: Path | None = None) -> list[str]:
     """Return the summary of one recording as lines of text."""
     clock = one["clock"]
     head = f"{one['recording']}: {kind}"
@@ -224,7 +229,12 @@ def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
     lines += [f"advice: {text}" for text in one["advice"]]
     usable = one["usable"]
     if usable is None:
-        lines.append("A diagnosis cannot use this recording.")
+        lines.append(
+            f"A diagnosis of {model} cannot use this recording."
+            if model is not None
+            else "Without a model, its use cannot be told: a twin.yaml may name topics, joints and "
+            f"columns (pytest-twin show MODEL {one['recording']})"
+        )
         return lines
     modes = sorted(set(usable["command_modes"].values()))
     between = usable["command_between"]
@@ -236,7 +246,9 @@ def in_words(kind: str, one: Mapping[str, Any]) -> list[str]:
         f"{join_words(modes)} commands of {', '.join(usable['command_modes'])}, "
         f"{between['value']} between stamps ({between['source']})."
     )
-    lines.append(f"next: pytest-twin diagnose MODEL {one['recording']} ... --out diagnosis")
+    lines.append(
+        f"next: pytest-twin diagnose {model or 'MODEL'} {one['recording']} ... --out diagnosis"
+    )
     return lines
 
 
@@ -276,7 +288,7 @@ def _clock_lines(clock: Mapping[str, Any]) -> list[str]:
     return [f"clock: header stamps; log times come later by {text} (median)"]
 
 
-def episodes_in_words(found: Mapping[str, Any]) -> list[str]:
+def episodes_in_words(found: Mapping[str, Any], model: Path | None = None) -> list[str]:
     """Return the summary of a data set: a line for each episode, and the first in full."""
     recordings = found["recordings"]
     lines = [f"{found['recording']}: {found['kind']}, {len(recordings)} episodes"]
@@ -285,6 +297,8 @@ def episodes_in_words(found: Mapping[str, Any]) -> list[str]:
         usable = "usable" if one["usable"] is not None else "cannot be used"
         lines.append(f"  {one['recording']}: {duration:.4g} s, {usable}")
     lines.append("the first:")
-    lines += [f"  {line}" for line in in_words("episode", recordings[0])[1:-1]]
-    lines.append(f"next: pytest-twin diagnose MODEL {found['recording']} --out diagnosis")
+    lines += [f"  {line}" for line in in_words("episode", recordings[0], model)[1:-1]]
+    lines.append(
+        f"next: pytest-twin diagnose {model or 'MODEL'} {found['recording']} --out diagnosis"
+    )
     return lines

@@ -28,6 +28,7 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
 from pytest_twin.report import replay as page
 from pytest_twin.trial import at_command_stamps, make_trials, recording_at
+from pytest_twin.trial.command_field import refuse_unfit_modes
 from pytest_twin.twin import FILE_NAME, Twin, load_twin, model_suffixes
 
 if TYPE_CHECKING:
@@ -191,6 +192,7 @@ def replay_file(
     topics = {**loaded.topics, **asked.topics}
     read = recording_at(Path(asked.recording), topics, chosen, asked.episode)
     trials = make_trials(read, realization.structure, chosen)
+    refuse_unfit_modes(realization.structure, trials[0])
     # A single state only gives the start: predict at the stamps of the commands.
     replayed = [t if len(t.time) > 1 else at_command_stamps(t) for t in trials]
     ideal, notes = predict(realization, loaded.patched, replayed, progress)

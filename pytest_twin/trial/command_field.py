@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.recording_options import COMMAND_MODES, CommandMode, RecordingOptions
+from pytest_twin.trial.trial import Trial
 from pytest_twin.words import list_names
 
 _ACTUATORS: Mapping[str, str] = {
@@ -36,6 +37,8 @@ class ChosenCommands:
         notes: fields that are not used, one line each.
         unstated: joints whose commands may be in any field by the recording, so that the model's
             actuator decided.
+        others: joint -> field -> (n,) which messages fill it, for fields that are not used.
+        left_out: joints whose commands no actuator takes.
     """
 
     joints: tuple[str, ...]
@@ -44,6 +47,8 @@ class ChosenCommands:
     never: tuple[str, ...]
     notes: tuple[str, ...]
     unstated: frozenset[str] = frozenset()
+    others: Mapping[str, Mapping[CommandMode, NDArray[np.bool_]]] = field(default_factory=dict)
+    left_out: frozenset[str] = frozenset()
 
 
 def choose_command_fields(
@@ -73,6 +78,7 @@ def choose_command_fields(
     columns: list[NDArray[np.float64]] = []
     never: list[str] = []
     unstated: set[str] = set()
+    others: dict[str, Mapping[CommandMode, NDArray[np.bool_]]] = {}
     unused: dict[tuple[CommandMode, tuple[CommandMode, ...], str], list[str]] = {}
     if isinstance(options.command_mode, Mapping):
         for joint in options.command_mode:
@@ -106,10 +112,11 @@ def choose_command_fields(
         )
         if mode is None:
             raise _ambiguous_field(series.topic, joint, filled, takes, path)
-        table = getattr(series, mode)
+        tables = _exclusive_fields(series, column, filled)
         joints.append(joint)
         modes.append(mode)
-        columns.append(table[:, column])
+        columns.append(tables[mode])
+        others[joint] = {name: ~np.isnan(tables[name]) for name in filled if name != mode}
         if asked is None and len(filled) > 1 and series.has_any_quantity(column):
             unstated.add(joint)
         used = {mode, "velocity"} if series.from_trajectories and mode == "position" else {mode}
@@ -135,8 +142,28 @@ def choose_command_fields(
     ]
     return ChosenCommands(
         tuple(joints), tuple(modes), np.stack(columns, axis=1), tuple(never), tuple(notes),
-        frozenset(unstated),
+        frozenset(unstated), others, frozenset(unfit),
     )  # fmt: skip
+
+
+def refuse_unfit_modes(structure: Structure, trial: Trial) -> None:
+    """Check that the model's actuators take the commands of a trial.
+
+    Raises:
+        RecordingError: they do not.
+    """
+    for joint, mode in zip(trial.command_joints, trial.command_modes, strict=True):
+        takes = structure.joint_inputs.get(joint, ())
+        if mode in takes or (mode == "effort" and not takes):
+            continue
+        has = f"its actuator takes {' and '.join(takes)}" if takes else "it has no actuator"
+        raise RecordingError(
+            f"no actuator of joint {joint!r} takes {mode} commands",
+            path=trial.path,
+            value=f"{mode} commands; {has}",
+            expected=f"a model with {_ACTUATORS[mode]} there, or the topic or field of other "
+            "commands (--topics, --command-mode)",
+        )
 
 
 def _filled_modes(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
@@ -145,6 +172,27 @@ def _filled_modes(series: JointSeries, column: int) -> tuple[CommandMode, ...]:
         for name in COMMAND_MODES
         if (table := getattr(series, name)) is not None and not np.isnan(table[:, column]).all()
     )
+
+
+def _exclusive_fields(
+    series: JointSeries, column: int, filled: Sequence[CommandMode]
+) -> dict[CommandMode, FloatArray]:
+    """Field -> (n,) values of one joint, NaN where only another field commands it.
+
+    Where two fields are never different from zero together, and each is at some time, a zero means
+    that the other field is the command.
+    """
+    found: dict[CommandMode, FloatArray] = {
+        name: np.array(getattr(series, name)[:, column], dtype=np.float64) for name in filled
+    }
+    if len(filled) != 2:
+        return found
+    one, two = (np.nan_to_num(values) != 0.0 for values in found.values())
+    if one.any() and two.any() and not (one & two).any():
+        first, second = filled
+        found[first][two] = np.nan
+        found[second][one] = np.nan
+    return found
 
 
 def _fields_without_actuator(

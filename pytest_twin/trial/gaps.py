@@ -107,7 +107,7 @@ def stretches(trial: Trial) -> list[Trial]:
     parts = []
     for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
         until = commands[i + 1] if i + 1 < len(commands) else np.inf
-        part = _part(trial, start, end, commands[i], until, len(starts))
+        part = part_of(trial, start, end, commands[i], until, len(starts))
         unseen = [j for j, q in zip(part.joints, part.position[0], strict=True) if np.isnan(q)]
         if unseen or not len(part.command_time):
             lacks = f"position of {unseen[0]}" if unseen else "command"
@@ -123,10 +123,17 @@ def _times(found: Sequence[CommonGap]) -> str:
     return ", ".join(shown) + more
 
 
-def _part(
+def part_of(
     trial: Trial, start: float, end: float, sent: float, sent_until: float, parts: int
 ) -> Trial:
-    """States from ``start`` to ``end``, commands from ``sent`` to before ``sent_until``."""
+    """The trial's states from ``start`` to ``end``, and commands from ``sent`` to ``sent_until``.
+
+    Args:
+        trial: the trial.
+        start, end: s from its first state.
+        sent, sent_until: likewise; a command at ``sent_until`` is left out.
+        parts: number of parts into which the recording is split.
+    """
     begin = int(np.searchsorted(trial.time, start))
     rows = slice(begin, int(np.searchsorted(trial.time, end, side="right")))
     command_rows = slice(*np.searchsorted(trial.command_time, (sent, sent_until)).tolist())

@@ -22,6 +22,13 @@ from pytest_twin.recording_options import (
 from pytest_twin.signals import Signals
 from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
+from pytest_twin.trial.command_span import (
+    MOVES,
+    OtherMode,
+    other_modes,
+    within_commands,
+    without_other_modes,
+)
 from pytest_twin.trial.floating_base import check_floating_base
 from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
@@ -62,7 +69,11 @@ def make_trials(
             that can be chosen, no overlap in time, no joint of the model, or positions in another
             unit than the model's.
     """
-    return [part for trial in _whole(recording, structure, options) for part in stretches(trial)]
+    return [
+        within_commands(part)
+        for trial in _whole(recording, structure, options)
+        for part in stretches(trial)
+    ]
 
 
 def make_trial(
@@ -126,12 +137,11 @@ def _whole(
         maker = _Maker(recording, structure, commanded, options.signals)
         trial = maker.trial(*piece)
         own = (*notes, *maker.notes) if not trials else tuple(maker.notes)
-        trials.append(
-            replace(
-                trial, notes=own, command_between=between, between_source=source, offset=since,
-                parts=len(clocked.pieces), unnamed=frozenset(unnamed),
-            )
+        whole = replace(
+            trial, notes=own, command_between=between, between_source=source, offset=since,
+            parts=len(clocked.pieces), unnamed=frozenset(unnamed),
         )  # fmt: skip
+        trials += without_other_modes(whole, maker.other_modes)
         since += trial.duration
     return trials
 
@@ -213,6 +223,7 @@ class _Maker:
             if item.place not in topics or not any(said in item.lost for said in _STAMP_TEXTS)
         ]
         self.notes: list[str] = []
+        self.other_modes: list[OtherMode] = []
 
     def trial(self, states: TimedMessages, commands: TimedMessages) -> Trial:
         """Build one trial, without splitting it."""
@@ -273,7 +284,25 @@ class _Maker:
             own_commands=own,
         )
         self.check_unstated_efforts(trial, commands.series.topic)
+        self.note_moving_without_command(trial, commands.series.topic)
         return trial
+
+    def note_moving_without_command(self, trial: Trial, topic: str) -> None:
+        """Note driven joints that move although no command of theirs is used."""
+        inputs = {} if self.structure is None else self.structure.joint_inputs
+        moves = [
+            f"{joint} (by {span:.3g} {self.checks.unit(joint, 'position')})"
+            for joint, span in zip(trial.joints, np.ptp(last_known(trial.position), 0), strict=True)
+            if span > MOVES
+            and joint in inputs
+            and joint not in (*trial.command_joints, *self.commanded.left_out)
+        ]
+        if moves:
+            self.notes.append(
+                f"{topic}: without a command, although the recording shows motion: "
+                f"{list_names(moves)}; position servos of the model hold these joints where they "
+                "start, other drives give no effort"
+            )
 
     def states(self, timed: TimedMessages) -> tuple[StateRows, tuple[str, ...]]:
         """States sorted by stamp, from the first at which all joints have been measured."""
@@ -370,6 +399,10 @@ class _Maker:
         time = _seconds(timed.stamp[order], start)
         self.checks.refuse_infinite("command", table, joints, time, topic)
         own = ~np.isnan(table)
+        rows = timed.rows[order]
+        for column, (joint, mode) in enumerate(zip(joints, self.commanded.modes, strict=True)):
+            filled = {q: has[rows] for q, has in self.commanded.others.get(joint, {}).items()}
+            self.other_modes += other_modes(joint, mode, time, own[:, column], filled)
         if own.all():
             return time, table, None
         some = own.any(axis=1)

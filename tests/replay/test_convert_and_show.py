@@ -231,9 +231,43 @@ def test_show_suggests_topics_when_the_usual_ones_are_missing(
     assert line.split("try ")[1].startswith(
         "--topics state=/arm/joint_states,command=/arm/commands"
     )
-    assert "A diagnosis cannot use this recording." in said
+    assert "Without a model, its use cannot be told: a twin.yaml may name topics" in said
+    assert f"(pytest-twin show MODEL {path})" in said
     option = "state=/arm/joint_states,command=/arm/commands"
     assert "A diagnosis can use" in output_of_show(path, capsys, "--topics", option)
+
+
+def test_show_with_a_model_reads_the_recording_as_its_commands_do(
+    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    twin = tmp_path / "twin.yaml"
+    twin.write_text("name: arm\nmodel: arm.xml\ntopics: {command: /sent}\njoints: {prefix: l_}\n")
+    names = ("l_shoulder", "l_elbow", "l_wheel")
+    three = np.zeros((len(TIME), 3))
+    topics = ("/joint_states", "/sent")
+    log = tmp_path / "log.mcap"
+    write_recording(log, [series(topic, names, TIME, position=three) for topic in topics])
+    assert "Without a model" in output_of_show(log, capsys)
+    said = output_of_show(twin, capsys, str(log))
+    assert "position commands of shoulder, elbow, held between stamps" in said
+    assert "left out, not in the model: l_wheel" in said
+    assert f"next: pytest-twin diagnose {twin} {log}" in said
+    (tmp_path / "other.xml").write_text(ARM.replace("elbow", "knee").replace("shoulder", "hip"))
+    said = output_of_show(tmp_path / "other.xml", capsys, str(log), "--topics", "command=/sent")
+    assert "missing: " in said
+    assert f"A diagnosis of {tmp_path / 'other.xml'} cannot use this recording." in said
+
+
+def test_show_of_a_model_alone_asks_for_the_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    assert cli.main(["show", str(tmp_path / "arm.xml")]) == 2
+    error = capsys.readouterr().err
+    assert (
+        f"a model, not a recording (expected pytest-twin show {tmp_path / 'arm.xml'} REC" in error
+    )
 
 
 def test_replay_suggests_topics_when_the_usual_ones_are_missing(
