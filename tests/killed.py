@@ -1,4 +1,4 @@
-"""Simulate a kill at one of the file operations of a block.
+"""Simulate a kill, or a disk that becomes full, at one of the file operations of a block.
 
 An audit hook raises at the chosen operation and at every later one, so that no clean-up code
 changes a file after the kill, as after SIGKILL.
@@ -7,6 +7,7 @@ changes a file after the kill, as after SIGKILL.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -15,6 +16,8 @@ _CHANGES = {"os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link", "os.sym
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 _remaining: int | None = None
 """Number of file operations that still succeed; None where no kill is simulated."""
+_is_full = False
+"""Whether the disk becomes full instead."""
 _installed = False
 
 
@@ -27,10 +30,11 @@ def _hook(event: str, arguments: tuple[object, ...]) -> None:
     if _remaining is None:
         return
     is_write = event == "open" and isinstance(arguments[2], int) and arguments[2] & _WRITES
-    if event in _CHANGES or is_write:
+    # A full disk still renames and removes.
+    if is_write or (event == "os.mkdir" if _is_full else event in _CHANGES):
         _remaining -= 1
         if _remaining < 0:
-            raise Killed
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) if _is_full else Killed
 
 
 @contextlib.contextmanager
@@ -40,11 +44,24 @@ def killed_after(operations: int) -> Iterator[None]:
     Raises:
         Killed: the block had more operations.
     """
-    global _remaining, _installed
+    with _limited(operations, is_full=False):
+        yield
+
+
+@contextlib.contextmanager
+def full_after(operations: int) -> Iterator[None]:
+    """Let the first writes of the block succeed; those after them find no space on the disk."""
+    with _limited(operations, is_full=True):
+        yield
+
+
+@contextlib.contextmanager
+def _limited(operations: int, *, is_full: bool) -> Iterator[None]:
+    global _remaining, _is_full, _installed
     if not _installed:
         sys.addaudithook(_hook)
         _installed = True
-    _remaining = operations
+    _remaining, _is_full = operations, is_full
     try:
         yield
     finally:

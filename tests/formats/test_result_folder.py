@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from killed import at_every_operation
+from killed import at_every_operation, full_after
 
 from pytest_twin.errors import PathError
 from pytest_twin.formats import results, temporary
@@ -143,6 +143,28 @@ def test_a_kill_at_any_file_operation_never_leaves_old_files_beside_new_ones(
 
     prepare()
     assert at_every_operation(run, check) > 20
+
+
+@pytest.mark.usefixtures("without_sync")
+def test_a_disk_that_becomes_full_leaves_one_result_whole(tmp_path: Path) -> None:
+    for operations in range(100):
+        out = tmp_path / str(operations)
+        write(out, OLD)
+        temporary._swept.clear()
+        problem = None
+        try:
+            with full_after(operations):
+                write(out, NEW)
+        except (PathError, OSError) as error:
+            problem = str(error)
+        if problem is None:
+            break
+        assert "No space left on device" in problem
+        assert len(set(content(out).values())) <= 1
+        results.finish(out)
+        assert content(out) in (OLD, NEW)
+    assert operations > 5
+    assert content(out) == NEW
 
 
 @pytest.mark.usefixtures("without_sync")

@@ -71,8 +71,13 @@ def test_unnamed_joints_and_missing_frames_are_noted(tmp_path: Path) -> None:
     assert "tcp" not in (folder / "twin.yaml").read_text()
 
 
-@pytest.mark.parametrize("stage", ["twin.yaml", "golden", ".twin"])
-def test_an_interrupt_leaves_the_folder_as_it_was(stage: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("stage", "number"),
+    [("twin.yaml", signal.SIGINT), ("golden", signal.SIGTERM), (".twin", signal.SIGINT)],
+)
+def test_an_interrupt_leaves_the_folder_as_it_was(
+    stage: str, number: signal.Signals, tmp_path: Path
+) -> None:
     folder = tmp_path / "twin"
     (folder / "golden").mkdir(parents=True)
     (folder / "robot.xml").write_text(UMLAUTS)
@@ -88,7 +93,7 @@ def test_an_interrupt_leaves_the_folder_as_it_was(stage: str, tmp_path: Path) ->
     end = time.monotonic() + 120
     while not sign.exists() and child.poll() is None and time.monotonic() < end:
         time.sleep(0.005)
-    os.killpg(child.pid, signal.SIGINT)  # like Ctrl-C, which signals the whole process group
+    os.killpg(child.pid, number)  # like Ctrl-C, which signals the whole process group
     _, stderr = child.communicate(timeout=60)
     assert child.returncode == 130
     assert stderr == "pytest-twin init: interrupted; no file is half written\n"
