@@ -138,6 +138,7 @@ def _write_diagnosis(
                 "failed": list(dict.fromkeys(recordings)),
                 "others": list(dict.fromkeys(others)),
                 "out": str(staging),
+                "folder": str(folder),
             },
             progress=progress,
         )

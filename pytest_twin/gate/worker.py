@@ -83,6 +83,7 @@ def diagnose(
     failed: list[tuple[str, int | None]],
     others: list[tuple[str, int | None]],
     out: str,
+    folder: str,
     progress: Progress,
 ) -> dict[str, Any]:
     """Diagnose a realization from recordings; write the same folder as ``pytest-twin diagnose``.
@@ -93,6 +94,7 @@ def diagnose(
         failed: recordings to explain: path, and the episode of a data set or None.
         others: further recordings; those with the same command mode are used.
         out: an empty folder.
+        folder: folder that it becomes.
         progress: called with the fraction that is done, 0 to 1.
 
     Returns:
@@ -126,6 +128,7 @@ def diagnose(
         trials,
         model=f"{described.name}, {realization}",
         progress=progress,
+        record_folder=Path(folder),
     )
 
 

@@ -109,8 +109,9 @@ def test_the_gate_diagnoses_only_the_episodes_of_its_goldens(
 
     monkeypatch.setattr("pytest_twin.gate.diagnosis_folder.write_diagnosis", note_recordings)
     moves = str(root / "moves")
+    out = str(tmp_path)
     worker.diagnose(
-        str(root / "twin.yaml"), "mujoco", [(moves, 1)], [(moves, 3)], str(tmp_path), lambda _: None
+        str(root / "twin.yaml"), "mujoco", [(moves, 1)], [(moves, 3)], out, out, lambda _: None
     )
     assert sorted(read) == ["episode_000001", "episode_000003"]
 
