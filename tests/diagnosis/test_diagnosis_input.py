@@ -519,6 +519,7 @@ def test_an_output_folder_with_other_files_is_not_replaced(
 ) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("years of work")
+    (tmp_path / "mine" / "diagnosis.json").write_text("{}")
     record(tmp_path / "a.mcap", 1, seconds=1.0)
     (tmp_path / "model.xml").write_text(mjcf())
     words = ["diagnose", "--seconds", "0", str(tmp_path / "model.xml"), str(tmp_path / "a.mcap")]
