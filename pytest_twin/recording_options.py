@@ -147,6 +147,7 @@ class RecordingOptions:
             "units": self.units,
             "time_unit": self.time_unit,
             "motor_calibration": None if motors is None else Path(motors),
+            "has_signals": bool(self.signals.table),
         }
 
     @classmethod

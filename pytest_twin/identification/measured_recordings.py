@@ -26,9 +26,11 @@ from pytest_twin.trial.joint_side import (
     positions_at_joints,
     without_other_joint,
 )
-from pytest_twin.trial.joints import in_model_names
+from pytest_twin.trial.joints import in_model_names, metres_of_slides
+from pytest_twin.trial.repeated_states import own_samples
 from pytest_twin.trial.roles import refuse_final
 from pytest_twin.trial.table import kept_commands, stamp_order
+from pytest_twin.trial.unwrap_joints import RecordedMotion, unwrap_joints
 
 _FEWEST = 50
 """Fewest states of a recording for differentiation."""
@@ -121,12 +123,13 @@ def read_measured(
         TwinError: the recording cannot be read.
     """
     found = []
-    for recording in recordings_at(path, topics, options):
+    for recording in recordings_at(path, topics, replace(options, signals=signals)):
         refuse_final(recording.metadata, path, "an identification")
         series = _commands_or_states(recording, "state", realization, topics, options)
         loose = check_floating_base(realization.structure, series.names, recording.path)
         commanded, notes = _commands_at_states(recording, series, realization, topics, options)
-        whole = _in_model(_at_joints(series, commanded, recording, signals), realization)
+        at_joints = _at_joints(series, commanded, recording, signals)
+        whole = _in_model(_unwrapped(at_joints, series.topic, realization, signals), realization)
         found += _stretches(replace(whole, notes=(*whole.notes, *notes, *loose)))
     return found
 
@@ -148,6 +151,7 @@ def _commands_or_states(
             "--topics state=/x",
         )
     named, _ = in_model_names(series, options.joints, realization.joints, recording.path)
+    named, _ = metres_of_slides(named, realization.structure.joint_type)
     if named.position is None and role == "state":
         raise RecordingError(
             "no state has positions",
@@ -205,6 +209,13 @@ def _at_joints(
     assert series.position is not None
     order = stamp_order(series.stamp)
     stamp = series.stamp[order]
+    samples = own_samples(stamp, {
+        "position": series.position[order],
+        "velocity": None if series.velocity is None else series.velocity[order],
+        "effort": None if series.effort is None else series.effort[order],
+    })  # fmt: skip
+    repeated = samples.note(series.topic, len(stamp))
+    order, stamp = order[samples.rows], stamp[samples.rows]
     once = np.append(True, np.diff(stamp) > 0)
     order, stamp = order[once], stamp[once]
     time = np.asarray((stamp - stamp[0]) * 1e-9, dtype=np.float64)
@@ -249,8 +260,39 @@ def _at_joints(
         unscaled=unscaled,
         limit=limit,
         metadata=dict(recording.metadata),
-        notes=(*notes, *said, *velocity_notes(names, time[whole], position[whole], velocity_there)),
+        notes=(
+            *repeated,
+            *notes,
+            *said,
+            *velocity_notes(names, time[whole], position[whole], velocity_there),
+        ),
         command=command,
+    )
+
+
+def _unwrapped(
+    read: MeasuredRecording, topic: str, realization: Realization, signals: Signals
+) -> MeasuredRecording:
+    """Return the recording with all turns of its revolute joints.
+
+    Raises:
+        RecordingError: the number of turns cannot be determined.
+    """
+    position = read.position.copy()
+    command = np.empty((0, 0)) if read.command is None else read.command.copy()
+    columns = {} if read.command is None else {joint: k for k, joint in enumerate(read.joints)}
+    motion = RecordedMotion(
+        read.path, topic, read.joints, read.time, position,
+        read.time[: len(command)], command, columns,
+    )  # fmt: skip
+    notes = unwrap_joints(motion, realization.structure, signals)
+    if not notes:
+        return read
+    return replace(
+        read,
+        position=position,
+        command=None if read.command is None else command,
+        notes=(*read.notes, *notes),
     )
 
 

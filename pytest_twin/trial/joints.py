@@ -7,8 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from pytest_twin.errors import RecordingError
-from pytest_twin.formats.recording import JointSeries
+from pytest_twin.formats.recording import DEGREE, JointSeries
 from pytest_twin.recording_options import JointNames
 from pytest_twin.words import list_names
 
@@ -91,6 +93,25 @@ def name_by_actuators(
         f"{list_names(driven)} ('joints: {{\"0\": {driven[0]}, ...}}' in twin.yaml says otherwise)"
     )
     return replace(series, names=tuple(driven)), [note]
+
+
+def metres_of_slides(
+    series: JointSeries, joint_type: Mapping[str, str]
+) -> tuple[JointSeries, list[str]]:
+    """Return the series with prismatic joints as written, if joints were read as degrees; notes."""
+    slides = np.array([
+        is_degree and joint_type.get(name) == "slide"
+        for name, is_degree in zip(series.names, series.degrees, strict=False)
+    ])  # fmt: skip
+    if not slides.any():
+        return series, []
+    scale = np.where(slides, 1.0 / DEGREE, 1.0)
+    names = [name for name, slide in zip(series.names, slides, strict=True) if slide]
+    return replace(
+        series,
+        position=None if series.position is None else series.position * scale,
+        velocity=None if series.velocity is None else series.velocity * scale,
+    ), [f"{series.topic}: prismatic joints are read in m, not in degrees: {list_names(names)}"]
 
 
 def _no_such_joint(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
-from pytest_twin.formats.recording import DEGREE, JointSeries, Recording
+from pytest_twin.formats.recording import JointSeries, Recording
 from pytest_twin.formats.recordings.candidates import what_to_do
 from pytest_twin.recording_options import (
     COMMAND_BETWEEN,
@@ -32,7 +32,7 @@ from pytest_twin.trial.command_span import (
 from pytest_twin.trial.floating_base import check_floating_base
 from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
-from pytest_twin.trial.joints import in_model_names, name_by_actuators
+from pytest_twin.trial.joints import in_model_names, metres_of_slides, name_by_actuators
 from pytest_twin.trial.recording_checks import RecordingChecks
 from pytest_twin.trial.repeated_states import own_samples
 from pytest_twin.trial.table import (
@@ -43,7 +43,7 @@ from pytest_twin.trial.table import (
     stamp_order,
 )
 from pytest_twin.trial.trial import Mark, Trial, stamps_of_densest_joint
-from pytest_twin.trial.wrapped_angles import TURN, AmbiguousTurnsError, JointMotion, unwrap
+from pytest_twin.trial.unwrap_joints import RecordedMotion, unwrap_joints
 from pytest_twin.words import list_names
 
 # Texts of readers about stamps.
@@ -110,7 +110,7 @@ def _whole(
             unnamed |= {role} if placed else set()
         series, said = in_model_names(series, options.joints, joints, recording.path)
         if structure is not None:
-            series, metres = _metres_of_slides(series, structure)
+            series, metres = metres_of_slides(series, structure.joint_type)
             notes += metres
         topics.append(series)
         notes += said
@@ -162,23 +162,6 @@ def _series(recording: Recording, role: str) -> JointSeries:
     if "--topics" not in advice:
         advice += "; topics are mapped in twin.yaml or by --topics state=/x,command=/y"
     raise RecordingError(f"no {role} messages", path=recording.path, where=role, expected=advice)
-
-
-def _metres_of_slides(series: JointSeries, structure: Structure) -> tuple[JointSeries, list[str]]:
-    """The series with prismatic joints as written, if all joints were read as degrees."""
-    slides = np.array([
-        is_degree and structure.joint_type.get(name) == "slide"
-        for name, is_degree in zip(series.names, series.degrees, strict=False)
-    ])  # fmt: skip
-    if not slides.any():
-        return series, []
-    scale = np.where(slides, 1.0 / DEGREE, 1.0)
-    names = [name for name, slide in zip(series.names, slides, strict=True) if slide]
-    return replace(
-        series,
-        position=None if series.position is None else series.position * scale,
-        velocity=None if series.velocity is None else series.velocity * scale,
-    ), [f"{series.topic}: prismatic joints are read in m, not in degrees: {list_names(names)}"]
 
 
 def _between(recording: Recording, options: RecordingOptions) -> tuple[CommandBetween, str]:
@@ -244,7 +227,16 @@ class _Maker:
         ):
             if mode == "position":
                 self.checks.refuse_other_unit(joint, command[:, at], commands.series.topic)
-        self.unwrap(topic, joints, time, position, command_time, command)
+        if self.structure is not None:
+            positions = {
+                joint: at
+                for at, joint in enumerate(self.commanded.joints)
+                if self.commanded.modes[at] == "position"
+            }
+            motion = RecordedMotion(
+                self.recording.path, topic, joints, time, position, command_time, command, positions
+            )
+            self.notes += unwrap_joints(motion, self.structure, self.signals)
         self.note_twice(topic, time)
         self.note_twice(commands.series.topic, command_time)
         self.checks.note_gaps(stamps_of_densest_joint(time, np.isfinite(position)), topic)
@@ -315,11 +307,8 @@ class _Maker:
             for table in [getattr(series, name)]
         }
         samples = own_samples(stamp, fields)
+        self.notes += samples.note(series.topic, len(stamp))
         if len(samples.rows) < len(stamp):
-            self.notes.append(
-                f"{series.topic}: {len(stamp)} messages repeat {len(samples.rows)} samples, each "
-                f"about {samples.repeats:.3g} times: the repeated ones are left out"
-            )
             stamp = stamp[samples.rows]
             fields = {n: None if t is None else t[samples.rows] for n, t in fields.items()}
         position = fields["position"]
@@ -433,52 +422,6 @@ class _Maker:
                     "no command, the last one holds",
                 )  # fmt: skip
         return time, kept_commands(table), None if own.all() else own
-
-    def unwrap(
-        self,
-        topic: str,
-        joints: tuple[str, ...],
-        time: FloatArray,
-        position: FloatArray,
-        command_time: FloatArray,
-        command: FloatArray,
-    ) -> None:
-        """Unwrap positions and position commands of revolute joints in place.
-
-        Raises:
-            RecordingError: the number of turns cannot be determined.
-        """
-        if self.structure is None:
-            return
-        for column, joint in enumerate(joints):
-            signal = self.signals.of(joint)
-            wrapped = signal.position.wrapped
-            if self.structure.joint_type.get(joint) != "hinge" or wrapped is False:
-                continue
-            seen = np.isfinite(position[:, column])
-            at = self.commanded.joints.index(joint) if joint in self.commanded.joints else None
-            sent = at is not None and self.commanded.modes[at] == "position"
-            motion = JointMotion(
-                time[seen],
-                position[seen, column],
-                command_time if sent else command_time[:0],
-                command[:, at] if sent else command_time[:0],
-            )
-            turn = TURN / abs(signal.gear) if signal.position.side == "motor" else TURN
-            try:
-                found = unwrap(motion, self.structure.joint_range.get(joint), turn, wrapped)
-            except AmbiguousTurnsError as error:
-                raise self.checks.error(
-                    "positions are recorded within one turn, and its number is not known",
-                    f"{topic} joint '{joint}'", value=str(error),
-                    expected="a recording of angles beyond a turn or at a higher rate; or in "
-                    f"twin.yaml signals: {{joints: {{{joint}: {{position: {{wrapped: true}}}}}}}} "
-                    "(the shorter way), wrapped: false (as recorded)",
-                ) from None  # fmt: skip
-            position[seen, column] = found.position
-            if sent:
-                command[:, at] = found.command
-            self.notes += [f"{topic}: {joint}: {note}" for note in found.notes]
 
     def mark_positions(
         self, joint: str, position: FloatArray, time: FloatArray, topic: str

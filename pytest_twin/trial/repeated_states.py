@@ -36,6 +36,15 @@ class Samples:
     rows: NDArray[np.int64]
     repeats: float
 
+    def note(self, topic: str, messages: int) -> list[str]:
+        """A note if messages were repeated; ``messages`` is their number."""
+        if len(self.rows) == messages:
+            return []
+        return [
+            f"{topic}: {messages} messages repeat {len(self.rows)} samples, each about "
+            f"{self.repeats:.3g} times: the repeated ones are left out"
+        ]
+
 
 def own_samples(stamp: Integers, fields: Mapping[CommandMode, Floats | None]) -> Samples:
     """Return the messages that have a new sample.

@@ -162,6 +162,12 @@ def test_what_may_be_read_in_two_ways_is_asked_for(tmp_path: Path, case: str) ->
     assert words in str(caught.value)
 
 
+def test_declared_signals_say_what_large_positions_are(tmp_path: Path) -> None:
+    found = read(tmp_path, csv(scale=DEGREES), has_signals=True).series["state"].position
+    assert found is not None
+    assert float(found.max()) == pytest.approx(DEGREES, rel=1e-3)
+
+
 def test_an_unknown_unit_leaves_a_column_out_with_a_note(tmp_path: Path) -> None:
     text = csv(headings=("time", "elbow.position [counts]", "elbow.command"))
     found = read(tmp_path, text)

@@ -158,3 +158,16 @@ def test_missing_velocities_of_a_recording_are_noted(tmp_path: Path) -> None:
     _, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=2.0, rate=100.0)
     one = measured_signals(tmp_path, q, effort, {})
     assert "no velocity is recorded: positions are differentiated" in one.notes
+
+
+def test_wrapped_angles_and_repeated_states_are_those_of_the_arm(tmp_path: Path) -> None:
+    _, q, effort = simulated_effort(true_arm(tmp_path), 1, seconds=2.0, rate=100.0)
+    # The arm has no ranges, so that a constant turns its base.
+    truth = q + np.linspace(0.0, 9.0, len(q))[:, None]
+    wrapped = np.mod(truth + np.pi, 2.0 * np.pi) - np.pi
+    rows = np.repeat(np.arange(len(q)), 3)
+    one = measured_signals(tmp_path, wrapped[rows], effort[rows], {})
+    np.testing.assert_allclose(one.position - one.position[0], truth - truth[0], atol=1e-6)
+    notes = " ".join(one.notes)
+    assert "each about 3 times" in notes
+    assert "shoulder: positions step by 6.283 rad" in notes

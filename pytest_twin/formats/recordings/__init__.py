@@ -37,6 +37,7 @@ def read_recordings(
     units: str | None = None,
     time_unit: str | None = None,
     motor_calibration: Path | None = None,
+    has_signals: bool = False,
 ) -> list[Recording]:
     """Read joint states and commands from a recording of any format.
 
@@ -49,6 +50,7 @@ def read_recordings(
             unit or a wrong one.
         time_unit: for a CSV file: unit of its times.
         motor_calibration: for a LeRobot data set: the JSON file of the arm's motors.
+        has_signals: whether unit and side of the positions are declared elsewhere (``signals:``).
 
     Returns:
         one recording, or one for each episode of a data set.
@@ -65,7 +67,9 @@ def read_recordings(
             "motor calibrations and per cent are of LeRobot data sets", path=path,
             value=reader.kind, expected="no --motor-calibration, and --units rad or deg",
         )  # fmt: skip
-    options = ReadingOptions(topics, columns or {}, units, time_unit, motor_calibration)
+    options = ReadingOptions(
+        topics, columns or {}, units, time_unit, motor_calibration, has_signals
+    )
     found = list(reader.read(path, options))
     return [_from_degrees(one) for one in found] if units == "deg" else found
 
@@ -93,6 +97,7 @@ def read_one(
     units: str | None = None,
     time_unit: str | None = None,
     motor_calibration: Path | None = None,
+    has_signals: bool = False,
 ) -> Recording:
     """Read the single recording at a path.
 
@@ -106,6 +111,7 @@ def read_one(
         units=units,
         time_unit=time_unit,
         motor_calibration=motor_calibration,
+        has_signals=has_signals,
     )
     if len(found) != 1:
         raise FormatError(

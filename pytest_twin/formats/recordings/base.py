@@ -22,6 +22,7 @@ class ReadingOptions:
             reader of LeRobot data sets converts; :func:`read_recordings` does for the others.
         time_unit: for a CSV file: ``s``, ``ms``, ``us`` or ``ns``, or None to detect the unit.
         motor_calibration: for a LeRobot data set: the JSON file of the arm's motors.
+        has_signals: whether unit and side of the positions are declared elsewhere.
     """
 
     topics: Mapping[str, str] = field(default_factory=lambda: dict(TOPICS))
@@ -29,6 +30,7 @@ class ReadingOptions:
     units: str | None = None
     time_unit: str | None = None
     motor_calibration: Path | None = None
+    has_signals: bool = False
 
 
 class Reader(Protocol):

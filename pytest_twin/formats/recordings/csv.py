@@ -279,7 +279,7 @@ class _Table:
         Raises:
             FormatError: the unit has to be stated.
         """
-        if self.options.units is not None:
+        if self.options.units is not None or self.options.has_signals:
             return
         for at, column in columns.items():
             if column.quantity != "position" or column.scale is not None:
