@@ -268,6 +268,8 @@ def diagnose_files(
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
+    from pytest_twin.realization.record_inputs import states_of_records
+    from pytest_twin.records.state import stale_lines
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
     from pytest_twin.trial.command_field import refuse_unfit_modes
 
@@ -310,7 +312,9 @@ def diagnose_files(
     )
     located = loaded.realization.source.located
     chosen = () if located is None or located.root is None else located.words()
-    return {**summary, "words": [*chosen, *summary["words"]]}
+    twin = loaded.realization.twin
+    stale = () if twin is None else stale_lines(states_of_records(twin), twin)
+    return {**summary, "words": [*chosen, *stale, *summary["words"]]}
 
 
 def _seconds(text: str) -> float:

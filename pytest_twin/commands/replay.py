@@ -281,6 +281,7 @@ def load_model(
     """
     from pytest_twin.diagnosis.patched.model import read_patched_model
     from pytest_twin.realization import load
+    from pytest_twin.realization.record_inputs import with_stale_records
 
     twin: Twin | None = None
     name = "mujoco"
@@ -288,7 +289,7 @@ def load_model(
         twin = load_twin(file)
         first = twin.first_realization
         name, file = first.name, first.file
-    realization = load(file, twin=twin, name=name, search=search, base=base)
+    realization = with_stale_records(load(file, twin=twin, name=name, search=search, base=base))
     topics = dict(TOPICS if twin is None else twin.topics)
     options = NO_OPTIONS if twin is None else twin.recordings
     return LoadedModel(realization, topics, options, read_patched_model(realization))

@@ -35,6 +35,7 @@ from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.loading import load
 from pytest_twin.realization.model import Realization
+from pytest_twin.realization.record_inputs import with_stale_records
 from pytest_twin.recording_options import CommandMode
 from pytest_twin.twin import Twin, load_twin
 
@@ -171,7 +172,8 @@ def _load(path: Path, search: SearchFolders | None) -> tuple[Realization, Twin |
         return load(path, search=search), None
     twin = load_twin(path)
     first = twin.first_realization
-    return load(first.file, twin=twin, name=first.name, search=search), twin
+    realization = load(first.file, twin=twin, name=first.name, search=search)
+    return with_stale_records(realization), twin
 
 
 def _refuse_unsafe_start(

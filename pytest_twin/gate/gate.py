@@ -24,7 +24,7 @@ from pytest_twin.gate.verdict import Facts, SessionFacts
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
 from pytest_twin.realization.import_path import installed_modules_only
-from pytest_twin.records.state import stale_lines, stale_reasons
+from pytest_twin.records.state import stale_lines, with_reasons_of_records
 from pytest_twin.staleness import DependencyMap
 from pytest_twin.twin import load_twin
 
@@ -140,9 +140,8 @@ class Gate:
                 tuple(sorted(dependencies.depends_on[key])),
                 (Reason(f"{realization}/model", "cannot be read"),)
                 if realization in current.unread
-                else (
-                    *reasons[key],
-                    *stale_reasons(current.records, current.dependencies.depends_on[key]),
+                else with_reasons_of_records(
+                    reasons[key], current.records, current.dependencies.depends_on[key]
                 ),
                 proofs.get(key),
             )

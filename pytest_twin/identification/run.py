@@ -33,9 +33,10 @@ from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.files.search import SearchFolders
-from pytest_twin.realization.record_inputs import basis_json, unfitted
+from pytest_twin.realization.record_inputs import basis_json, states_of_records, unfitted
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
 from pytest_twin.records.basis import Uses
+from pytest_twin.records.state import stale_lines
 from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
 
 REALIZATION = "realization"
@@ -95,6 +96,8 @@ def identify_files(
     search = SearchFolders.of(asked.roots, asked.packages)
     realization, notes = _load(Path(model), name, search, options.base)
     twin = realization.twin
+    if twin is not None:
+        notes += stale_lines(states_of_records(twin), twin)
     chosen = options.over(NO_OPTIONS if twin is None else twin.recordings)
     signals = chosen.signals
     stated = DEFAULT_TOPICS if twin is None else twin.topics

@@ -155,6 +155,20 @@ def states_of_records(twin: Twin) -> tuple[RecordState, ...]:
     return record_states(twin, source_of, file_digests(twin))
 
 
+def with_stale_records(realization: Realization) -> Realization:
+    """Add a note for each stale record of the twin to a realization, and return it.
+
+    Raises:
+        TwinError: a record or a model cannot be read.
+    """
+    twin = realization.twin
+    if twin is not None and twin.has_records:
+        source = realization.source
+        notes = stale_lines(states_of_records(twin), twin)
+        realization.source = replace(source, notes=(*source.notes, *notes))
+    return realization
+
+
 def stale_record_lines(twin: str) -> list[str]:
     """Return one line for each stale record of the twin in a ``twin.yaml``, in the child process.
 

@@ -400,11 +400,23 @@ def stale_lines(states: Sequence[RecordState], twin: Twin) -> tuple[str, ...]:
     return tuple(str(state.error(twin)) for state in states if state.touching)
 
 
-def stale_reasons(
-    states: Sequence[RecordState], ids: frozenset[str] | Sequence[str]
+def with_reasons_of_records(
+    reasons: Sequence[Reason], states: Sequence[RecordState], ids: frozenset[str]
 ) -> tuple[Reason, ...]:
-    """Reasons why a golden with these dependencies is stale because of its records."""
-    return tuple(reason for state in states if state.part.id in ids for reason in state.reasons)
+    """Return the reasons why a golden is stale, with the changed inputs of stale records.
+
+    Args:
+        reasons: changes of parts since the release.
+        states: states of the records.
+        ids: parts that the golden depends on.
+    """
+    stale = [state for state in states if state.touching and state.part.id in ids]
+    # The changed inputs say more than that the state of the record changed.
+    explained = {state.part.id for state in stale}
+    return (
+        *(reason for reason in reasons if reason.part not in explained),
+        *(reason for state in stale for reason in state.reasons),
+    )
 
 
 def unknown_statements(states: Sequence[RecordState], twin: Twin) -> Iterator[SpecError]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from cell import changed, edit, states, write_cell, write_identification
 
+from pytest_twin import cli
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.records.state import unknown_statements
 from pytest_twin.twin import load_twin
@@ -207,4 +208,19 @@ def test_a_record_of_a_model_that_the_twin_lacks_says_so(cell: Path) -> None:
     assert states(cell)["identified"].notes == (
         "record 'identified' was made with ../arm.xml, which this twin does not have: whether "
         "that model changed is not known",
+    )
+
+
+@pytest.mark.usefixtures("commands_in_process")
+def test_a_prediction_with_a_stale_record_has_a_note(
+    cell: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    header = "time,shoulder.position,elbow.position,shoulder.command,elbow.command\n"
+    rows = "".join(f"{0.01 * i:.2f},0,0,0.1,0.1\n" for i in range(100))
+    (cell / "motion.csv").write_text(header + rows)
+    edit(cell / "arm.xml", 'mass="0.6"', 'mass="0.642"')
+    arguments = [str(cell / "motion.csv"), "--out", str(cell / "predicted.mcap")]
+    assert cli.main(["replay", str(cell / "twin.yaml"), *arguments]) == 0
+    assert "record 'identified' is stale: its inputs changed: inertia:fore: mass" in (
+        capsys.readouterr().out
     )
