@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pytest_twin.errors import TwinError
-from pytest_twin.twin import Affects, Payload, find_twin, load_twin, schema
+from pytest_twin.twin import Affects, Edit, Payload, find_twin, load_twin, schema
 
 MODEL = "<mujoco/>"
 
@@ -58,6 +58,7 @@ model: model.xml
 realizations:
   urdf: {file: robot.urdf, simulator: mujoco}
 source: [asset/robot.step]
+edited: {robot.urdf: {reason: axis turned, owner: A. Engineer}}
 roots: {shared: ../shared}
 topics: {state: /js}
 controllers:
@@ -95,6 +96,7 @@ def test_every_field_of_the_twin_file_is_read(full: Path) -> None:
     twin = load_twin(write(full, FULL))
     assert list(twin.realizations) == ["mujoco", "urdf"]
     assert twin.source == (full / "asset/robot.step",)
+    assert twin.edited == {full / "robot.urdf": Edit("axis turned", "A. Engineer")}
     assert twin.roots == {"shared": full.parent / "shared"}
     assert twin.topics == {"state": "/js", "command": "/joint_commands"}
     assert twin.controllers == {"kp100": {"servo": {"kp": 0.239, "forcerange": (-1.0, 1.0)}}}
@@ -118,7 +120,7 @@ def test_every_field_of_the_twin_file_is_read(full: Path) -> None:
     assert twin.parts["table"].affects is None
     assert {full / "fit.yaml", full / "table.txt", full / "robot.urdf"} <= set(twin.files)
     assert str(twin.error("controllers.kp100.servo", "no")).endswith(
-        "twin.yaml:11: controllers.kp100.servo: no"
+        "twin.yaml:12: controllers.kp100.servo: no"
     )
 
 
