@@ -99,6 +99,7 @@ def _series(one: JointSeries) -> dict[str, Any]:
     return {
         "topic": one.topic,
         "messages": len(one.stamp),
+        "from_trajectories": one.from_trajectories,
         "joints": list(one.names),
         "fields": [name for name in QUANTITIES if getattr(one, name) is not None],
         "rate": {"value": None if not usual else 1.0 / usual, "unit": "Hz"},
@@ -263,7 +264,8 @@ def _topic_line(topic: Mapping[str, Any], width: int) -> str:
 def _series_lines(role: str, series: Mapping[str, Any]) -> list[str]:
     rate, longest = series["rate"]["value"], series["longest_interval"]
     joints = "1 joint" if len(series["joints"]) == 1 else f"{len(series['joints'])} joints"
-    text = f"{role}s: {series['messages']} messages of {joints}"
+    unit = "setpoints of trajectories" if series["from_trajectories"] else "messages"
+    text = f"{role}s: {series['messages']} {unit} of {joints}"
     text += "" if rate is None else f" at {rate:.4g} Hz"
     text += f", {join_words(series['fields']) or 'no field'}"
     if longest is not None:

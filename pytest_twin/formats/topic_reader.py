@@ -32,12 +32,8 @@ from pytest_twin.formats.ros_serialization import (
     MessageError,
 )
 from pytest_twin.formats.trajectory import STOP, is_stop
-from pytest_twin.formats.trajectory_setpoints import (
-    Setpoints,
-    TooManySetpointsError,
-    TrajectoryMessage,
-    play,
-)
+from pytest_twin.formats.trajectory_course import TooManySetpointsError
+from pytest_twin.formats.trajectory_setpoints import Setpoints, TrajectoryMessage, play
 
 _LATE = 0.1
 """s. A trajectory that arrives later than this after its stamp has missed a visible part."""

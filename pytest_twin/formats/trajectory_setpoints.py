@@ -19,16 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.formats.ros_serialization import QUANTITIES, Floats, Integers
-
-_CHORD = 1e-6
-"""rad, m, rad/s or m/s. Curves are sampled so that straight lines between samples differ less."""
-_FINEST = 1_000_000
-"""ns. Samples of a curve are not closer, because few controllers run faster than 1 kHz."""
-_POWERS = np.arange(6.0)
-
-
-class TooManySetpointsError(ValueError):
-    """The curves between points need more samples than a recording may have."""
+from pytest_twin.formats.trajectory_course import (
+    PointState,
+    TooManySetpointsError,
+    constant,
+    course,
+    derivative,
+    times_inside,
+    value_at,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +219,7 @@ class _Track:
                 moves = slice(self.count, 2 * self.count)
                 value[moves] = 0.0 * value[moves]
                 still = (value[: self.count], np.zeros(self.count), np.zeros(self.count))
-                self._append(message.start, message.start, _constant(value), value, still, index)
+                self._append(message.start, message.start, constant(value), value, still, index)
             return begins
         points = self._points(message)
         times = (message.start + message.after).tolist()
@@ -228,7 +227,7 @@ class _Track:
             # What is not known before the first point has its value.
             unset = np.isnan(value)
             follows = None if unset[: self.count].all() else points[0]
-            state = _PointState(
+            state = PointState(
                 np.where(unset, points[0].value, value),
                 None if follows is None or follows.velocity is None else velocity,
                 None if follows is None or follows.acceleration is None else acceleration,
@@ -237,15 +236,15 @@ class _Track:
             times.insert(0, message.start)
         if len(points) == 1:
             at = points[0].value
-            self._append(times[0], times[0], _constant(at), at, points[0].state(self.count), index)
+            self._append(times[0], times[0], constant(at), at, points[0].state(self.count), index)
         for k in range(len(points) - 1):
             begin, end = points[k], points[k + 1]
-            coefficients = _course(begin, end, (times[k + 1] - times[k]) * 1e-9, self.count)
+            coefficients = course(begin, end, (times[k + 1] - times[k]) * 1e-9, self.count)
             final = end.state(self.count)
             self._append(times[k], times[k + 1], coefficients, end.value, final, index)
         return begins
 
-    def _points(self, message: TrajectoryMessage) -> list[_PointState]:
+    def _points(self, message: TrajectoryMessage) -> list[PointState]:
         columns = [message.names.index(name) for name in self.joints]
         empty = np.full((len(message.after), self.count), np.nan)
         tables = [
@@ -254,7 +253,7 @@ class _Track:
         ]
         values = np.concatenate(tables[:3], axis=1)
         return [
-            _PointState(
+            PointState(
                 values[k],
                 tables[1][k] if np.isfinite(tables[1][k]).all() else None,
                 tables[3][k] if np.isfinite(tables[3][k]).all() else None,
@@ -292,10 +291,10 @@ class _Track:
             return segment.last, segment.final
         since = (time - segment.begin) * 1e-9
         own = segment.coefficients[:, : self.count]
-        return _value(segment.coefficients, since), (
-            _value(own, since),
-            _value(_derivative(own), since),
-            _value(_derivative(_derivative(own)), since),
+        return value_at(segment.coefficients, since), (
+            value_at(own, since),
+            value_at(derivative(own), since),
+            value_at(derivative(derivative(own)), since),
         )
 
     def _cut(self, time: int, value: Floats) -> None:
@@ -313,101 +312,17 @@ class _Track:
         size = 0
         for segment in self.segments:
             rows.step_to(segment.begin, segment.first)
-            inside = _inside(segment, self.count, most_values - size)
-            since = (inside - segment.begin) * 1e-9
-            curve = np.polynomial.polynomial.polyval(since, segment.coefficients).T
+            length = segment.end - segment.begin
+            since = times_inside(segment.coefficients, length, self.count, most_values - size)
+            curve = np.polynomial.polynomial.polyval(since * 1e-9, segment.coefficients).T
             rows.add(segment.begin, segment.first[None], segment.message)
-            rows.add(inside, curve, segment.message)
+            rows.add(segment.begin + since, curve, segment.message)
             if segment.end > segment.begin:
                 rows.add(segment.end, segment.last[None], segment.message)
-            size += (len(inside) + 3) * 3 * self.count
+            size += (len(since) + 3) * 3 * self.count
             if size > most_values:
                 raise TooManySetpointsError
         return rows
-
-
-@dataclass(frozen=True, slots=True)
-class _PointState:
-    """One point: (c,) values, and velocity and acceleration (j,) where it has them."""
-
-    value: Floats
-    velocity: Floats | None
-    acceleration: Floats | None
-
-    def state(self, count: int) -> tuple[Floats, Floats, Floats]:
-        """Position, velocity and acceleration (j,) that a following course begins with."""
-        still = np.zeros(count)
-        return (
-            self.value[:count],
-            still if self.velocity is None else self.velocity,
-            still if self.acceleration is None else self.acceleration,
-        )
-
-
-def _course(begin: _PointState, end: _PointState, seconds: float, count: int) -> Floats:
-    """(6, c) coefficients of the course between two points."""
-    coefficients = np.zeros((6, len(begin.value)))
-    coefficients[0] = begin.value
-    coefficients[1] = (end.value - begin.value) / seconds
-    position = slice(0, count)
-    if begin.velocity is None or end.velocity is None:
-        return coefficients
-    if not np.isfinite(end.value[position]).any():
-        return coefficients
-    v0, v1 = begin.velocity * seconds, end.velocity * seconds
-    way = end.value[position] - begin.value[position]
-    # With time relative to the segment's duration.
-    if begin.acceleration is None or end.acceleration is None:
-        relative = [v0, 3.0 * way - 2.0 * v0 - v1, v0 + v1 - 2.0 * way]
-    else:
-        a0, a1 = begin.acceleration * seconds**2, end.acceleration * seconds**2
-        relative = [
-            v0,
-            0.5 * a0,
-            10.0 * way - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1,
-            -15.0 * way + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1,
-            6.0 * way - 3.0 * (v0 + v1) - 0.5 * (a0 - a1),
-        ]
-    for power, one in enumerate(relative, start=1):
-        coefficients[power, position] = one / seconds**power
-    coefficients[:, count : 2 * count] = _derivative(coefficients[:, position])
-    return coefficients
-
-
-def _constant(value: Floats) -> Floats:
-    coefficients = np.zeros((6, len(value)))
-    coefficients[0] = value
-    return coefficients
-
-
-def _derivative(coefficients: Floats) -> Floats:
-    """(6, c) coefficients of the derivative."""
-    found = np.zeros_like(coefficients)
-    found[:-1] = coefficients[1:] * _POWERS[1:, None]
-    return found
-
-
-def _value(coefficients: Floats, since: float) -> Floats:
-    """(c,) value of polynomials at one time, s."""
-    value: Floats = np.asarray(since**_POWERS @ coefficients)
-    return value
-
-
-def _inside(segment: _Segment, count: int, most_values: int) -> Integers:
-    """(k,) times within a segment, ns, between which straight lines follow it."""
-    if not segment.coefficients[2:].any():
-        return np.zeros(0, dtype=np.int64)
-    length = segment.end - segment.begin
-    bend = _derivative(_derivative(segment.coefficients[:, : 2 * count]))
-    at = np.linspace(0.0, length * 1e-9, 9)
-    curvature = np.nan_to_num(np.polynomial.polynomial.polyval(at, bend))
-    largest = float(np.abs(curvature).max())
-    needed = length * 1e-9 * np.sqrt(largest / (8.0 * _CHORD))
-    parts = int(min(np.ceil(needed), -(-length // _FINEST)))
-    if parts * 3 * count > most_values:
-        raise TooManySetpointsError
-    fraction = np.arange(1, parts) / max(parts, 1)
-    return segment.begin + np.rint(length * fraction).astype(np.int64)
 
 
 def _combine(

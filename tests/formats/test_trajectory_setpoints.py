@@ -16,7 +16,8 @@ from test_message_types import MS, bag, read
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import Recording
-from pytest_twin.formats.trajectory_setpoints import TooManySetpointsError, TrajectoryMessage, play
+from pytest_twin.formats.trajectory_course import TooManySetpointsError
+from pytest_twin.formats.trajectory_setpoints import TrajectoryMessage, play
 
 FIRST = 0.4
 
