@@ -40,7 +40,7 @@ def recorded_state(problem: Problem, record: CalibrationRecord) -> State:
     points = dict(problem.fixed.points)
     for name in problem.layout.points:
         points[name] = _point(name, record)
-    return replace(problem.fixed, poses=poses, points=points)
+    return replace(problem.fixed, poses=poses, points=points, scale=record.target_scale)
 
 
 def held_out_observations(observations: Observations, record: CalibrationRecord) -> Observations:

@@ -14,7 +14,7 @@ from pytest_twin.calibration.block_jackknife import block_jackknife, is_odometry
 from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.observability import Direction, affected_unknowns
-from pytest_twin.calibration.parameters import POSE_LABELS
+from pytest_twin.calibration.parameters import POSE_LABELS, State
 from pytest_twin.calibration.problem import (
     INVERTED_RECORDS,
     MARKER,
@@ -130,6 +130,27 @@ def records(found: Estimate) -> dict[str, Any]:
     return {name: made[name] for name in [*order, *(n for n in made if n not in order)]}
 
 
+def solver_transforms(found: Estimate, state: State) -> dict[str, Any]:
+    """Return the transforms of another solver, by the names of the records."""
+    made = {}
+    plan, layout = found.fit.problem.plan, found.fit.problem.layout
+    for name in layout.poses:
+        family, _, role = name.partition(".")
+        mount = plan.mount if family == "camera" else "hand"
+        asked = [one for one in records_of(role, family, mount) if one in plan.estimate]
+        for record in asked or [NOT_ASKED[family, mount, role]]:
+            pose = state.poses[name]
+            made[record] = _transform(inverse(pose) if record in INVERTED_RECORDS else pose)
+    return made
+
+
+def _transform(pose: FloatArray) -> dict[str, Any]:
+    return {
+        "xyz": [float(value) for value in pose[:3, 3]],
+        "quaternion_wxyz": [float(value) for value in quaternion_of(pose[:3, :3])],
+    }
+
+
 def _frames(found: Estimate, name: str, record: str) -> tuple[str, str]:
     problem = found.fit.problem
     base = "base" if problem.chain is None else problem.chain.base
@@ -165,10 +186,7 @@ def _pose_record(found: Estimate, name: str, record: str, *, asked: bool) -> dic
     made: dict[str, Any] = {
         "parent": parent,
         "child": child,
-        "transform": {
-            "xyz": [float(value) for value in pose[:3, 3]],
-            "quaternion_wxyz": [float(value) for value in quaternion_of(pose[:3, :3])],
-        },
+        "transform": _transform(pose),
         "covariance": covariance.tolist(),
         "covariance_of": list(POSE_LABELS),
         "perturbation": "x y z along the parent's axes [m]; rx ry rz a rotation vector about the "

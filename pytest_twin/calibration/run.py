@@ -33,6 +33,7 @@ from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import TARGET_TOLERANCE, Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem, reported_flange
+from pytest_twin.calibration.reach_hypotheses import hypotheses_in_words, reach_hypotheses
 from pytest_twin.calibration.recordings.gather import GatheredObservations, gather
 from pytest_twin.calibration.records import (
     TARGET_SCALE,
@@ -40,17 +41,25 @@ from pytest_twin.calibration.records import (
     estimate,
     full_covariance,
     records,
+    solver_transforms,
     with_directions,
 )
 from pytest_twin.calibration.repeated_rows import without_repeats
 from pytest_twin.calibration.residual_errors import Errors, acceptance_failures, errors_of, pattern
 from pytest_twin.calibration.scene import scene
 from pytest_twin.calibration.solve import LEAST_INLIERS, Fit, robust_cost, solve
+from pytest_twin.calibration.solver_comparison import (
+    LEAST_SQUARES,
+    BetterSolver,
+    better_solver,
+)
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import camera_unit, is_subset, starts
-from pytest_twin.calibration.wrong_scale import wrong_scale
+from pytest_twin.calibration.time_limit import TimeLimit, is_over, limited
+from pytest_twin.calibration.wrong_scale import FreeScale, wrong_scale
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.temporary import temporary_folder
+from pytest_twin.interrupts import stopped_by_parent
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
 GROSS_RATIO = 6.0
@@ -82,8 +91,11 @@ def calibrate_file(
     progress: Callable[[float], None] | None = None,
     folder: str | None = None,
     record_folder: str | None = None,
+    seconds: float = 0.0,
 ) -> dict[str, Any]:
     """Return the content of ``calibration.json`` for the plan in a file.
+
+    An interrupt ends the calibration early; the best values so far are returned.
 
     Args:
         plan: path of the plan.
@@ -91,6 +103,7 @@ def calibrate_file(
         folder: folder that keeps observations and images of recordings; by default they are
             deleted.
         record_folder: folder that the record will be in; by default that of the plan.
+        seconds: limit of the processor time, s; 0 for none.
 
     Raises:
         TwinError: the input cannot be used.
@@ -98,6 +111,21 @@ def calibrate_file(
     told = progress or (lambda fraction: None)
     found = load_plan(Path(plan))
     record_in = Path(record_folder or found.path.parent)
+    limit = TimeLimit(seconds)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(limited(limit))
+        stack.enter_context(stopped_by_parent(limit.stop))
+        place = folder or stack.enter_context(temporary_folder())
+        document = _calibrate_plan(found, Path(place), told)
+    if limit.reason:
+        document["reasons"] = [limit.reason, *document["reasons"]]
+        if document["verdict"] == "accepted":
+            document["verdict"] = "rejected"
+    document["basis"] = calibration_basis(found, document["inputs"], record_in)
+    return document
+
+
+def _calibrate_plan(found: Plan, folder: Path, told: Callable[[float], None]) -> dict[str, Any]:
     if found.streams:
         if found.has_free_scale:
             raise found.error(
@@ -108,17 +136,12 @@ def calibrate_file(
             )
         document = calibrate_streams(found)
         document["inputs"] = _inputs(found, [found.path, *found.streams.values()])
-        document["basis"] = calibration_basis(found, document["inputs"], record_in)
         return document
     if not found.observations:
         raise found.error(
             "observations", "no observations", expected="observations: observations.csv"
         )
-    with contextlib.ExitStack() as stack:
-        place = folder or stack.enter_context(temporary_folder())
-        document = _calibrate_observations(found, Path(place), told)
-        document["basis"] = calibration_basis(found, document["inputs"], record_in)
-        return document
+    return _calibrate_observations(found, folder, told)
 
 
 def _calibrate_observations(
@@ -134,7 +157,9 @@ def _calibrate_observations(
         document["inputs"] = _inputs(found, _read_files(found, gathered, folder))
         return document
     observations = in_order(observations, is_motion=found.has_free_scale)
-    observations, images, rejected = read_images(found, observations, folder)
+    observations, images, rejected = read_images(
+        found, observations, folder, lambda fraction: told(0.1 + 0.3 * fraction)
+    )
     rejected = (*gathered.left_out, *rejected)
     told(0.4 if images else 0.1)
     if images is not None and set(found.estimate) == {"intrinsics"}:
@@ -215,11 +240,13 @@ def calibrate(
         seen.notes.append(turned)
     if seen is not None:
         observations = seen.posed(observations)
+    progress(0.5)
     problem = make_problem(plan, observations, chain)
     if plan.has_free_scale:
         unit = camera_unit(problem.on_rows(fit_rows))
         problem = problem.in_unit(unit or 1.0)
     solved = solve_problem(problem.on_rows(fit_rows))
+    progress(0.6)
     if seen is not None and seen.refine(solved.estimate):
         solved = replace(solved, estimate=seen.estimate)
         problem = make_problem(plan, seen.posed(observations), chain)
@@ -241,6 +268,7 @@ def calibrate(
     degenerate = bool(solved.estimate.directions)
     held_ids = [problem.observations.ids[row] for row in held_rows]
     document["held_out"] = {**_errors_json(errors, observations.payloads), "ids": held_ids}
+    _add_hypotheses(document["held_out"].get("pattern"), fit, held, errors)
     if gross:
         document["held_out"]["with_excluded"] = of_all.summary()
     document["fitted"] = fitted.summary()
@@ -248,7 +276,7 @@ def calibrate(
     if solved.sources:
         document["fitted"]["error_sources"] = dict(solved.sources)
     document["fitted"]["leave_one_out"] = dict(solved.estimate.leave_one_out)
-    document["solvers"] = _solvers(held, solved, errors)
+    document["solvers"], better = _solvers(held, solved, errors)
     document["excluded"] = [
         one.to_json() for one in (*rejected, *left_out, *_outliers(fit), *gross)
     ]
@@ -259,16 +287,12 @@ def calibrate(
     lost = [] if seen is None else seen.complete(document, held_rows)
     document["unobservable"] += lost
     degenerate = degenerate or bool(lost)
-    of_corners = None if seen is None else seen.scale
-    moved = None if degenerate or plan.has_free_scale else moved_body(problem, fit)
-    if moved is not None:
-        suspected: tuple[InputMistake, ...] = (moved,)
-    elif has_large_errors(document["fitted"], fit.problem):
-        suspected = find_mistakes(fit, of_corners)
-    else:
-        # A wrong size of the target moves the camera, and the errors may stay small.
-        scale = wrong_scale(fit, of_corners)
-        suspected = () if scale is None else (scale,)
+    suspected: tuple[InputMistake, ...] = ()
+    if not degenerate and not plan.has_free_scale and not is_over():
+        moved = moved_body(problem, fit)
+        suspected = () if moved is None else (moved,)
+    if not suspected:
+        suspected = _suspected(fit, document, None if seen is None else seen.scale)
     document["suspected"] = [one.to_json() for one in suspected]
     reasons = [
         *(f"{one.what}; {one.mend}" for one in suspected),
@@ -276,6 +300,8 @@ def calibrate(
             errors.summary() if errors.ids else solved.estimate.leave_one_out, asdict(plan.accept)
         ),
     ]
+    if better is not None and better.is_beyond_chance and not suspected:
+        reasons.append(better.words)
     if degenerate and not suspected:
         document["verdict"] = "degenerate"
     else:
@@ -285,6 +311,8 @@ def calibrate(
     document["reasons"] = reasons if suspected else [*directions, *reasons]
     seen_notes = () if seen is None else seen.notes
     document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
+    if better is not None and not better.is_beyond_chance:
+        document["notes"].append(better.words)
     if TARGET_SCALE in document["records"] and "tolerance" not in plan.target:
         document["notes"].append(
             f"the target's size may differ from the stated one by {100 * TARGET_TOLERANCE:g} % "
@@ -326,6 +354,26 @@ def solve_problem(problem: Problem) -> Solution:
     return Solution(found, gauges, kept, sources)
 
 
+def _suspected(
+    fit: Fit, document: dict[str, Any], of_corners: FreeScale | None
+) -> tuple[InputMistake, ...]:
+    """Return the mistakes of the input that would explain the errors."""
+    if is_over():
+        return ()
+    if has_large_errors(document["fitted"], fit.problem):
+        return find_mistakes(fit, of_corners)
+    # A wrong size of the target moves the camera, and the errors may stay small.
+    scale = wrong_scale(fit, of_corners)
+    return () if scale is None else (scale,)
+
+
+def _add_hypotheses(shape: dict[str, Any] | None, fit: Fit, held: Problem, errors: Errors) -> None:
+    """Add possible causes to the pattern of errors that grow with reach."""
+    if shape is not None and shape["kind"] == "grows_with_reach" and not is_over():
+        shape["hypotheses"] = reach_hypotheses(fit, held, errors)
+        shape["words"] += f". {hypotheses_in_words(shape['hypotheses'])}"
+
+
 def without_gross_errors(errors: Errors) -> tuple[Errors, tuple[ExcludedMeasurement, ...]]:
     """Exclude gross errors from held-out ones; return the rest and what was excluded."""
     if len(errors.ids) < 4:
@@ -356,16 +404,26 @@ def _errors_json(errors: Errors, payloads: Sequence[str] | None) -> dict[str, An
     return found
 
 
-def _solvers(held: Problem, solved: Solution, errors: Errors) -> dict[str, Any]:
-    found = {}
-    kept = ("translation_rms", "rotation_rms")
+def _solvers(
+    held: Problem, solved: Solution, errors: Errors
+) -> tuple[dict[str, Any], BetterSolver | None]:
+    """Return the held-out errors of each solver, and one that is better than least squares."""
     chosen = set(errors.ids)
+    each = {}
     for name, state in solved.candidates.items():
-        each = errors_of(held, state)
-        each = each.only(np.array([one in chosen for one in each.ids], dtype=bool))
-        found[name] = {k: v for k, v in each.summary().items() if k in kept}
-    found["least_squares"] = {k: v for k, v in errors.summary().items() if k in kept}
-    return found
+        mine = errors_of(held, state)
+        each[name] = mine.only(np.array([one in chosen for one in mine.ids], dtype=bool))
+    each[LEAST_SQUARES] = errors
+    figures = ("translation_rms", "rotation_rms")
+    found: dict[str, Any] = {
+        name: {k: v for k, v in one.summary().items() if k in figures} for name, one in each.items()
+    }
+    better = better_solver({name: one.distance for name, one in each.items()})
+    if better is not None and better.is_beyond_chance:
+        found[better.name]["transforms"] = solver_transforms(
+            solved.estimate, solved.candidates[better.name]
+        )
+    return found, better
 
 
 def _outliers(fit: Fit) -> list[ExcludedMeasurement]:

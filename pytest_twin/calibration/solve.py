@@ -13,6 +13,7 @@ from scipy.stats import chi2, halfnorm
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.problem import Problem
+from pytest_twin.calibration.time_limit import is_over
 
 STUDENT_DEGREES = 4.0
 """Degrees of freedom of the Student distribution for the weights of the robust iterations. With 4,
@@ -106,6 +107,8 @@ def solve(problem: Problem, start: State) -> Fit:
     # The robust iterations use every measurement; outliers have little weight.
     robust = _is_redundant(problem)
     for _ in range(_ROBUST_ITERATIONS if robust else 0):
+        if is_over():
+            break
         weights = [
             np.sqrt((STUDENT_DEGREES + len(term.noise)) / (STUDENT_DEGREES + distance))
             for term, distance in zip(
@@ -128,6 +131,8 @@ def solve(problem: Problem, start: State) -> Fit:
         residuals, slopes = _residuals(problem, state)
         before, noise = noise, _noise(problem, residuals, slopes, noise, kept)
         if same and all(abs(noise[name] / before[name] - 1.0) < 1e-3 for name in noise):
+            break
+        if is_over():
             break
     jacobian = _whiten(problem, slopes, noise, [one.astype(float) for one in kept])
     degrees = _degrees(problem, jacobian, kept)

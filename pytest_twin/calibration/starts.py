@@ -20,6 +20,7 @@ from pytest_twin.calibration.problem import Problem, predicted_poses
 from pytest_twin.calibration.solve import LEAST_INLIERS
 from pytest_twin.calibration.solvers.algebraic import HAND_EYE, ROBOT_WORLD, solver_of_poses
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
+from pytest_twin.calibration.time_limit import is_over
 from pytest_twin.errors import SpecError
 
 HandEyeSolver = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -60,6 +61,8 @@ def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
     size = _POSES_IN_SUBSET if has_poses else _POINTS_IN_SUBSET
     draw = np.random.default_rng(0)
     for number in range(subsets if len(rows) > 2 * size else 0):
+        if found and is_over():
+            break
         chosen = np.sort(draw.choice(rows, size, replace=False))
         state = _start(problem.on_rows(chosen), closed_form.park)
         if state is not None:

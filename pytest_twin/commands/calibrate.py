@@ -12,6 +12,7 @@ from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
+from pytest_twin.interrupts import first_interrupt
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import calibration
 from pytest_twin.words import counted
@@ -37,6 +38,11 @@ EXPORTS = (
     "calibrated.xml",
     "camera_info.yaml",
 )
+
+SECONDS = 300.0
+"""Default limit of the processor time, s. A hundred images of two megapixels take a tenth of it."""
+_MOST_SECONDS = 24 * 3600.0
+"""Largest limit, s, and the time after which a calibration without limit is ended."""
 
 _READABLE = {
     "rad": (1e3, "mrad"),
@@ -65,6 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help=f"folder for {FILE_NAME} and, if it is accepted, {', '.join(EXPORTS)}",
     )
+    parser.add_argument(
+        "--seconds",
+        metavar="N",
+        type=_seconds,
+        default=SECONDS,
+        help="limit of the processor time, after which the best values so far are written and not "
+        f"accepted (default: {SECONDS:g}; 0: no limit); Ctrl-C and SIGTERM end it in the "
+        "same way",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,10 +92,16 @@ def run(args: argparse.Namespace) -> int:
     if not plan.is_file():
         raise PathError("no such file", path=plan, expected="a calibration plan (.yaml)")
     out: Path = args.out
+
+    def stop() -> None:
+        sandbox.interrupt()
+        progress.tell("line", "stopping: the best values so far are written; Ctrl-C again aborts")
+
     with (
         results.result_folder(out, FILE_NAME) as staging,
-        Sandbox() as sandbox,
+        Sandbox(seconds=_MOST_SECONDS) as sandbox,
         Progress("calibrating") as progress,
+        first_interrupt(stop),
     ):
         document = sandbox.call(
             "pytest_twin.calibration.run:calibrate_file",
@@ -88,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
                 "plan": str(plan.absolute()),
                 "folder": str(staging / OBSERVATIONS),
                 "record_folder": str(out.absolute()),
+                "seconds": args.seconds,
             },
             progress=progress,
         )
@@ -103,6 +125,19 @@ def run(args: argparse.Namespace) -> int:
     json_output.give(args, document)
     show(_words(document, out / FILE_NAME))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
+
+
+def _seconds(text: str) -> float:
+    """Parse a time in s, 0 or more."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
+    if not 0.0 <= seconds <= _MOST_SECONDS:
+        raise argparse.ArgumentTypeError(
+            f"got {text!r}, expected a time in s, 0 to {_MOST_SECONDS:g} (0: no limit)"
+        )
+    return seconds
 
 
 def _words(document: dict[str, Any], path: Path) -> str:

@@ -6,13 +6,13 @@ one simulation of all recordings. Unlike seconds, this number is the same on eve
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from pytest_twin.diagnosis.deadline import CHECK, OutOfTime, no_limit
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.processor_time import processor_seconds
 
 RESERVED_SHARE, FINAL_SHARE = 0.2, 0.1
 """Shares of the time limit: ``RESERVED_SHARE`` is kept for the steps after the search (final
@@ -28,12 +28,6 @@ MAX_WALL_RATIO = 5.0
 MAX_SIMULATIONS = 1200
 """Largest number of simulations of all data for all searches of a diagnosis: four times the limit
 of one search. A case with one joint needs 170 to 830."""
-
-
-def computing_seconds() -> float:
-    """Processor time of this process and its ended children, s."""
-    used = os.times()
-    return used.user + used.system + used.children_user + used.children_system
 
 
 class Budget:
@@ -60,7 +54,7 @@ class Budget:
         self.stopped = False
         self.problems: list[Problem] = []
         self._clock = clock
-        self._start, self._start_computing = clock(), computing_seconds()
+        self._start, self._start_computing = clock(), processor_seconds()
         self._uncounted = 0.0
         self._kept_share = 0.0
         self._limit = simulations
@@ -81,7 +75,7 @@ class Budget:
         if not self.own_time:
             return wall
         # A search computes all the time, so wall time without computing went to other programs.
-        computing = computing_seconds() - self._start_computing
+        computing = processor_seconds() - self._start_computing
         return max(min(wall, computing), wall / MAX_WALL_RATIO)
 
     @property

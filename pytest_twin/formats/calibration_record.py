@@ -69,6 +69,7 @@ class CalibrationRecord:
         time_offset: offset between the two clocks and its standard deviation, s, or None.
         clock_drift: rate at which the offset grows, s/s; 0 if none was estimated.
         scale: scale of the camera's positions relative to m, or None if they are in m.
+        target_scale: stated size of the target divided by its real one.
         basis: field ``basis`` as written: content of the inputs that it used; None in a record of
             an earlier version.
     """
@@ -93,13 +94,9 @@ class CalibrationRecord:
     time_offset: tuple[float, float] | None = None
     clock_drift: float = 0.0
     scale: float | None = None
+    target_scale: float = 1.0
     homes: Mapping[str, float] = field(default_factory=dict)
     basis: Mapping[str, Any] | None = None
-
-
-def _scale(records: Mapping[str, Any]) -> float | None:
-    record = records.get("scale", records.get("target_scale"))
-    return None if record is None else number(record["value"])
 
 
 def read_calibration_record(path: Path) -> CalibrationRecord:
@@ -181,7 +178,8 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
             if offset is None
             else (number(offset["value"]), standard_deviation(offset["ci95"])),
             clock_drift=_drift(offset),
-            scale=_scale(records),
+            scale=number(records["scale"]["value"]) if "scale" in records else None,
+            target_scale=number(records.get("target_scale", {"value": 1.0})["value"]),
             homes={text(name): number(one["sign"]) for name, one in homes.items()},
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:

@@ -62,7 +62,7 @@ def test_calibrate_writes_estimates_with_intervals_and_held_out_errors(
     found = json.loads(Path("out/calibration.json").read_text())
     jsonschema.validate(found, load_schema("results/calibrate.schema.json"))
     assert found["verdict"] == "accepted"
-    assert list(found["records"])[:3] == ["joint_zeros", "base_world", "hand_eye"]
+    assert list(found["records"]) == ["joint_zeros", "base_world", "hand_eye", "target_scale"]
     low, high = found["records"]["joint_zeros"]["values"]["fr3_joint4"]["ci95"]
     assert low < 0.02 < high
     hand_eye = found["records"]["hand_eye"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from pytest_twin.calibration.boards.image_file import Grey, read_grey
 from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.boards.sharpness import blur_px, image_blur_px
 from pytest_twin.calibration.boards.target import Target
+from pytest_twin.calibration.time_limit import current_limit
 from pytest_twin.errors import LimitError, TwinError
 from pytest_twin.formats import limits
 
@@ -87,16 +88,21 @@ class Detection:
 
 
 def detect_files(
-    paths: Sequence[Path], target: Target, names: Sequence[str] | None = None
+    paths: Sequence[Path],
+    target: Target,
+    names: Sequence[str] | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Detection]:
     """Detect the target in image files; one detection for each file, in the same order.
 
-    A missing or damaged file gives a rejected detection with the reader's error message.
+    A missing or damaged file gives a rejected detection with the reader's error message. An image
+    that the time limit leaves unread is rejected too.
 
     Args:
         paths: image files.
         target: what to look for.
         names: names of the detections; by default the file names.
+        progress: called with the fraction of the images that were searched.
 
     Raises:
         LimitError: more files than ``limits.IMAGES`` allows.
@@ -112,7 +118,11 @@ def detect_files(
     opencv()
     names = [path.name for path in paths] if names is None else names
 
+    limit = current_limit()
+
     def one(path: Path, name: str) -> Detection:
+        if limit.is_over():
+            return _no_detection(name, (0, 0), target, "not read: the time was over")
         try:
             image = read_grey(path)
         except TwinError as error:
@@ -120,7 +130,10 @@ def detect_files(
         return detect(image, target, name)
 
     with ThreadPoolExecutor(_THREADS) as pool:
-        found = list(pool.map(one, paths, names))
+        found = []
+        for detection in pool.map(one, paths, names):
+            found.append(detection)
+            progress(len(found) / len(paths))
     return without_blurred(found)
 
 

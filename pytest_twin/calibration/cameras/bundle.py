@@ -29,6 +29,7 @@ from pytest_twin.calibration.cameras.normal_equations import (
 )
 from pytest_twin.calibration.cameras.reprojection import corners_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, Mount
+from pytest_twin.calibration.time_limit import is_over
 
 FEWEST_IMAGES_FOR_BOARD = 8
 """Smallest number of images for which the board's deviations from its drawing are estimated. With
@@ -163,7 +164,7 @@ def bundle(
         new = noise_of(model, unknowns, sizes)
         change = max(abs(np.log(new.vector / sizes.vector)))
         sizes = new
-        if change < _ROUND_SETTLED:
+        if change < _ROUND_SETTLED or is_over():
             break
     equations = linearize(model, unknowns, sizes)
     kept = np.r_[model.transforms, model.own, model.scale, model.intrinsics]
@@ -211,6 +212,6 @@ def _minimize(model: Model, unknowns: Unknowns, noise: Noise) -> Unknowns:
         settled = equations.cost - new.cost <= _SETTLED * equations.cost
         unknowns, equations = tried, new
         damping = max(damping / 10.0, 1e-9)
-        if settled:
+        if settled or is_over():
             break
     return unknowns

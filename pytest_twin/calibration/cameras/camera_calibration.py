@@ -14,6 +14,7 @@ from pytest_twin.calibration.cameras.bundle import Bundle, KnownNoise, bundle
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics
 from pytest_twin.calibration.cameras.normal_equations import Unknowns
 from pytest_twin.calibration.cameras.pose import target_pose
+from pytest_twin.calibration.time_limit import is_over
 from pytest_twin.errors import SpecError
 
 PINHOLE = ("fx", "fy", "cx", "cy")
@@ -76,6 +77,8 @@ def calibrate_camera(
     before: Bundle | None = None
     least = np.inf
     for free in MODELS:
+        if best is not None and is_over():
+            break
         try:
             found = fit_images(detections, board, Intrinsics(vector), free, before)
         except (np.linalg.LinAlgError, ValueError, FloatingPointError):

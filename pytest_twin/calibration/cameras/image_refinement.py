@@ -19,6 +19,7 @@ from pytest_twin.calibration.records import Estimate
 from pytest_twin.calibration.repeated_rows import without_repeats
 from pytest_twin.calibration.residual_errors import acceptance_failures
 from pytest_twin.calibration.split import split
+from pytest_twin.calibration.time_limit import is_over
 from pytest_twin.calibration.wrong_scale import FreeScale
 
 MOST_FOCAL_SPREAD = 0.02
@@ -58,6 +59,8 @@ class ImageRefinement:
 
     def refine(self, found: Estimate) -> bool:
         """Refine an estimate on poses with the corners in images; False if that is impossible."""
+        if is_over():
+            return False
         better = refine_on_corners(found, self._images, self.camera)
         if better is None:
             return False

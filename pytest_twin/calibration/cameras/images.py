@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -155,7 +155,10 @@ class Images:
 
 
 def read_images(
-    plan: Plan, observations: Observations, folder: Path | None = None
+    plan: Plan,
+    observations: Observations,
+    folder: Path | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> tuple[Observations, Images | None, tuple[ExcludedMeasurement, ...]]:
     """Detect the target in the images of the observations; None if the plan has no images.
 
@@ -185,7 +188,7 @@ def read_images(
         ) from None
     names = [one for one, image in zip(observations.ids, observations.images, strict=True) if image]
     paths = _paths(plan, observations, folder)
-    found = detect_files(paths, target, names)
+    found = detect_files(paths, target, names, progress)
     usable = {one.image: one for one in found if one.is_usable}
     rejected = tuple(one for one in found if not one.is_usable)
     if not usable:

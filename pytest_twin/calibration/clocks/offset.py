@@ -17,6 +17,7 @@ from pytest_twin.calibration.cameras.increments import (
 from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.solvers.algebraic import HandEye
+from pytest_twin.calibration.time_limit import is_over
 from pytest_twin.calibration.transform_derivatives import skew
 
 _STEPS = 40
@@ -145,7 +146,7 @@ def fit_clocks(
         move[free] = step
         at = _apply_step(at, move)
         # Steps below a microsecond, a micrometre and a microradian are negligible.
-        if np.abs(move).max() < 1e-7:
+        if np.abs(move).max() < 1e-7 or is_over():
             break
     residual, slopes = _linearize(hand, camera, seen, at, middle)
     sizes, weight = _weights(residual)
