@@ -240,7 +240,9 @@ class _Maker:
         self.note_twice(topic, time)
         self.note_twice(commands.series.topic, command_time)
         self.checks.note_gaps(stamps_of_densest_joint(time, np.isfinite(position)), topic)
-        self.checks.note_gaps(stamps_of_densest_joint(command_time, own), commands.series.topic)
+        if not commands.series.from_trajectories:
+            # A trajectory needs no setpoints while it holds or moves at a constant rate.
+            self.checks.note_gaps(stamps_of_densest_joint(command_time, own), commands.series.topic)
         commanded = self.commanded
         for column, joint in enumerate(joints):
             self.mark_positions(joint, position[:, column], time, topic)

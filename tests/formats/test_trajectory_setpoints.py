@@ -18,6 +18,7 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import Recording
 from pytest_twin.formats.trajectory_course import TooManySetpointsError
 from pytest_twin.formats.trajectory_setpoints import TrajectoryMessage, play
+from pytest_twin.trial import make_trial
 
 FIRST = 0.4
 
@@ -252,6 +253,16 @@ def test_log_times_do_not_move_with_a_start_in_the_future(tmp_path: Path) -> Non
     command = recorded(tmp_path, (100, one_point(START + 500 * MS, 1.0, 100))).series["command"]
     assert ((command.stamp - START) // MS).tolist() == [500, 600]
     assert command.log_time.tolist() == command.stamp.tolist()
+
+
+def test_the_hold_after_a_curve_is_no_gap(tmp_path: Path) -> None:
+    curve = [
+        ros.point([0.2], [0.0]),
+        ros.point([0.5], [0.0], after=200 * MS),
+        ros.point([0.5], [0.0], after=900 * MS),
+    ]
+    found = recorded(tmp_path, (0, ros.trajectory(START, ("a",), curve)))
+    assert not [mark for mark in make_trial(found).marks if mark.kind == "gap"]
 
 
 def test_messages_without_points_alone_are_refused(tmp_path: Path) -> None:
