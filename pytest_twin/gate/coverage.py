@@ -52,7 +52,7 @@ def gaps(outcomes: Collection[Outcome]) -> tuple[Gap, ...]:
     found += [
         Gap("critical findings of the audit", f"critical findings, advisory only: {what(one)}")
         for one in outcomes
-        if one.kind == AUDIT and one.status == "failed"
+        if one.kind == AUDIT and one.status == "failed" and one.criticality == "advisory"
     ]
     if outcomes and not any(_is_dynamic(one.kind) for one in outcomes if one.status == "passed"):
         dynamic = [kind for kind in kinds() if _is_dynamic(kind)]

@@ -142,7 +142,8 @@ def _acceptance(critical: Sequence[str]) -> str:
         "# The audit finds these faults in the model. Correct the file; or, to release it with\n"
         "# some of them, take the # off these lines, delete the others, write reason and owner:\n"
         f"# accepted_findings:\n#   - findings:\n{listed}"
-        "#     reason: why this twin may be released with them\n#     owner: your name\n"
+        "#     reason:  # why this twin may be released with them\n"
+        "#     owner:  # who answers for it\n"
     )
 
 

@@ -70,7 +70,6 @@ def test_a_release_with_gaps_states_them_in_verify_and_in_the_report(
 
 def test_a_critical_finding_blocks_the_release_until_it_is_accepted_or_corrected(recorded) -> None:
     recorded.write("twin.yaml", AUDITED)
-    recorded.edit("arm.xml", 'range="-1.5 1.5" damping', 'range="-1.5 1.5" damping')
     recorded.edit("arm.xml", '<compiler angle="radian"/>', "")
     recorded.run("--twin-update")
     result = recorded.run("--twin-release")
@@ -78,6 +77,7 @@ def test_a_critical_finding_blocks_the_release_until_it_is_accepted_or_corrected
         ["*1 critical finding that nobody accepts, such as joints.range_radians:joint 'shoulder'*"]
     )
     result.stdout.fnmatch_lines(["  golden/asset/audit@mujoco: a critical golden failed"])
+    result.stdout.no_fnmatch_line("*advisory only*")
     assert recorded.releases == []
     recorded.write(
         "twin.yaml",
@@ -91,6 +91,10 @@ def test_a_critical_finding_blocks_the_release_until_it_is_accepted_or_corrected
     result = recorded.run("--twin-release")
     result.stdout.fnmatch_lines(["*accepted:findings*"])
     assert recorded.releases == ["0001"]
+    recorded.edit("golden/asset/audit.yaml", "kind: asset", "kind: asset\ncriticality: advisory")
+    result = recorded.run("--twin-release")
+    result.stdout.fnmatch_lines(["critical findings, advisory only: arm.xml: 1 critical finding*"])
+    assert recorded.releases == ["0001", "0002"]
 
 
 def test_an_element_that_no_simulator_compiles_makes_only_the_audit_stale(recorded) -> None:

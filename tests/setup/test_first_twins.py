@@ -11,6 +11,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from pytest_twin.errors import SpecError
+from pytest_twin.twin import load_twin
+
 BIN = Path(sys.executable).parent
 ROBOTS = {
     "panda": "panda_description/urdf/panda.urdf",
@@ -47,11 +50,15 @@ def run(*command: str, cwd: Path, state: Path) -> subprocess.CompletedProcess[st
 
 
 def accept_proposed_findings(twin_file: Path) -> None:
-    """Take the # off the lines with which init proposes to accept the critical findings."""
+    """Take the # off the lines that init proposes for critical findings, and fill in two."""
     lines = twin_file.read_text().splitlines()
     start = lines.index("# accepted_findings:")
     stop = next(i for i, line in enumerate(lines) if line.startswith("#     owner:")) + 1
     lines[start:stop] = [line.removeprefix("# ").rstrip() for line in lines[start:stop]]
+    twin_file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(SpecError, match="reason"):
+        load_twin(twin_file)
+    lines[stop - 2 : stop] = ["    reason: a test", "    owner: A. Nowak"]
     twin_file.write_text("\n".join(lines) + "\n")
 
 
