@@ -259,6 +259,8 @@ def _chosen_modes(
     if fitting:
         # A servo with inputs for position and velocity follows the position.
         return fitting[0], f"the model has {_ACTUATORS[fitting[0]]} there"
+    if series.from_trajectories and "position" in filled:
+        return "position", "velocities of a trajectory are the slope of its positions"
     if not takes and "effort" in filled and _is_nonzero(series, "effort", column):
         others = [n for n in filled if n != "effort" and _is_nonzero(series, n, column)]
         if not others:
