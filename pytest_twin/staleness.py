@@ -58,10 +58,12 @@ class Model:
     Attributes:
         parts: part id -> part.
         structure: its kinematic tree, actuators and couplings.
+        replaced: part id -> part with the model's own values, where ``fit:`` replaces them.
     """
 
     parts: Mapping[str, Part]
     structure: Structure
+    replaced: Mapping[str, Part] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,7 +65,7 @@ def collect_dependencies(
     for name in dict.fromkeys(name for golden in goldens for name in golden.realizations):
         try:
             features = _features(twin, twin.realizations[name], child, fresh=fresh)
-            models[name] = Model(features.parts, features.structure)
+            models[name] = Model(features.parts, features.structure, features.replaced)
             files.update(dict.fromkeys(features.files))
         except TwinError as error:
             problems.append(str(error))
@@ -115,8 +115,7 @@ def collect_dependencies(
     except TwinError as error:
         records = ()
         problems.append(str(error))
-    structures = {name: model.structure for name, model in models.items()}
-    dependencies = with_records(dependencies, records, structures)
+    dependencies = with_records(dependencies, records, models)
     problems += map(str, unknown_statements(records, twin))
     for path in files:
         try:

@@ -19,7 +19,7 @@ from pytest_twin.realization import Realization, load
 from pytest_twin.realization.features.cache import Features
 from pytest_twin.realization.features.stated_elements import elements_part
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
-from pytest_twin.realization.record_inputs import load_unfitted, unfitted
+from pytest_twin.realization.record_inputs import load_unfitted, replaced_parts
 from pytest_twin.report.plots import plot
 from pytest_twin.trial import make_trials, recording_at
 from pytest_twin.twin import RealizationRef, Twin, load_twin
@@ -236,12 +236,7 @@ def _realization(twin: Path, name: str) -> Realization:
 def features(twin: str, realization: str) -> dict[str, Any]:
     """Parts, structure and files of a realization, for the dependency map."""
     loaded = _realization(Path(twin), realization)
-    source = unfitted(loaded)
-    replaced = {
-        ident: part
-        for ident, part in source.parts.items()
-        if ident not in loaded.parts or loaded.parts[ident].digest != part.digest
-    }
+    replaced = replaced_parts(loaded)
     elements = elements_part(loaded)
     parts = {**loaded.parts, elements.id: elements}
     structure = replace(loaded.structure, part_ids=frozenset(parts))

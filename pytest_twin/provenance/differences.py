@@ -34,8 +34,8 @@ from pytest_twin.provenance.poses import (
 )
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.encoders import calibration_of
-from pytest_twin.realization.record_inputs import states_of_records
-from pytest_twin.records.state import RecordState
+from pytest_twin.realization.record_inputs import replaced_parts, states_of_records
+from pytest_twin.records.state import RecordState, is_source_part, source_part
 from pytest_twin.staleness import changes, twin_parts
 from pytest_twin.twin import FreshPolicy, JointCalibration, Twin, load_twin
 
@@ -85,7 +85,10 @@ class Version:
         parts[_TCP] = Part(_TCP, {"name": frame})
         records = {state.part.id: state for state in states_of_records(twin)}
         # A record whose inputs are unchanged has no part of its own.
-        parts.update({ident: state.part for ident, state in records.items() if state.changes})
+        parts.update({i: state.part for i, state in records.items() if state.part.content})
+        for part in replaced_parts(realization).values():
+            source = source_part(part)
+            parts[source.id] = source
         return cls(twin, realization, parts, frame, records)
 
 
@@ -204,6 +207,8 @@ class _Differences:
         size: dict[str, Any] | None = None
         if layer == "basis":
             matters, why, reasons = self._effect_of_record(ident, reasons)
+        elif is_source_part(ident):
+            matters, why = False, "fit: replaces these values"
         elif layer in WITHOUT_EFFECT:
             matters, why = False, "it changes neither geometry nor motion"
         elif layer in NOT_MODELLED:
@@ -242,7 +247,7 @@ class _Differences:
     ) -> tuple[bool, str, Sequence[Reason]]:
         state = self.new.records.get(ident)
         if state is None or not state.changes:
-            return False, "the inputs of the record are as they were when it was made", reasons
+            return False, "the record replaces these values", reasons
         reasons = [
             replace(reason, field=f"{reason.part}: {reason.field}")
             for change in state.changes

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.dependency import Part
 from pytest_twin.errors import PathError
 from pytest_twin.formats.content_digest import content_digest
 from pytest_twin.realization.loading import load
@@ -58,6 +59,20 @@ def load_unfitted(twin: Twin, reference: RealizationRef) -> Realization:
     except PathError:
         # Meshes are missing: an estimation that needs no shapes was made without them.
         return loaded(shapes=False)
+
+
+def replaced_parts(realization: Realization) -> dict[str, Part]:
+    """Parts with the model's own values, where its twin replaces them.
+
+    Raises:
+        TwinError: the model's files cannot be read any more.
+    """
+    source = unfitted(realization)
+    return {
+        ident: part
+        for ident, part in source.parts.items()
+        if ident not in realization.parts or realization.parts[ident].digest != part.digest
+    }
 
 
 def model_of(realization: Realization) -> Model:

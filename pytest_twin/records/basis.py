@@ -91,7 +91,8 @@ class Uses:
             ids |= structure.chain(self.frames)
         if self.joints:
             ids |= structure.dynamics(self.joints) | structure.effects()
-        for ident in ids & structure.part_ids:
+        # The text of the file is not an input, only what the compiled model has of it.
+        for ident in ids & structure.part_ids - {f"{structure.realization}/elements"}:
             name = ident.removeprefix(f"{structure.realization}/")
             of_simulation = {name, name.partition(":")[0]} & set(_LAYERS_OF_SIMULATION)
             if self.everything or self.simulated or not of_simulation:

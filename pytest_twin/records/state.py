@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import SpecError
@@ -14,7 +15,7 @@ from pytest_twin.formats.result_record import ResultRecord
 from pytest_twin.outcome import Reason
 from pytest_twin.record_spec import Unaffected
 from pytest_twin.records.basis import EARLIER_RECORD, Basis, input_parts
-from pytest_twin.staleness import DependencyMap, Model, changes
+from pytest_twin.staleness import DependencyMap, Model, changes, joint_calibration
 from pytest_twin.twin import Twin
 
 Record = IdentificationRecord | CalibrationRecord | ResultRecord
@@ -26,6 +27,8 @@ _TRIALS = "ranges.trials"
 _MAX_NAMED = 3
 """Largest number of changes of a record that a message names."""
 _ABSENT = Part("absent", {})
+_SOURCE = "/source/"
+"""Follows the name of the realization in ids of parts with the model's own values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,7 @@ class RecordState:
         notes: what could not be compared.
         statements: changes that its owner declared harmless.
         inputs: ids of all of its inputs.
+        overrides: values of ``twin.yaml`` that it replaces.
     """
 
     kind: str
@@ -83,6 +87,7 @@ class RecordState:
     changes: tuple[InputChange, ...] = ()
     notes: tuple[str, ...] = ()
     inputs: frozenset[str] = frozenset()
+    overrides: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def touching(self) -> tuple[InputChange, ...]:
@@ -107,7 +112,8 @@ class RecordState:
                     **({} if change.accepted is None else {"accepted": change.accepted.reason}),
                 }
                 for change in self.changes
-            },
+            }
+            | ({"overrides": self.overrides} if self.overrides else {}),
         )
 
     @property
@@ -190,23 +196,45 @@ def record_states(twin: Twin, source_of: SourceOf, digests: FileDigests) -> tupl
         else:
             compared = _with_changed_inputs(state, before, twin, source_of, digests)
         states.append(
-            replace(compared, changes=tuple(compared.accepted(one) for one in compared.changes))
+            replace(
+                compared,
+                changes=tuple(compared.accepted(one) for one in compared.changes),
+                overrides=_overrides(state, before),
+            )
         )
     return tuple(states)
 
 
-def models_of_records(twin: Twin) -> frozenset[str | Path]:
-    """Names of realizations, and paths of other models, that the records in use were made with.
-
-    Raises:
-        FormatError: a record cannot be read.
-    """
-    found = (
-        model_of(Basis.from_json(state.record.basis, state.record.path), state.record, twin)
-        for state, _ in _records_in_use(twin)
-        if state.record.basis is not None
-    )
-    return frozenset(model for model in found if model is not None)
+def _overrides(state: RecordState, before: Twin) -> dict[str, Any]:
+    """Values of ``twin.yaml`` that a record replaces."""
+    record = state.record
+    if isinstance(record, CalibrationRecord):
+        calibration = before.calibration
+        if calibration is None:
+            return {}
+        zeros = record.joint_zeros if "joint_zeros" in state.uses else {}
+        found: dict[str, Any] = {
+            joint: joint_calibration(calibration.joints[joint])
+            for joint in zeros
+            if joint in calibration.joints
+        }
+        pose = calibration.transform_world_to_base
+        if pose is not None and "base_world" in state.uses and record.base_world is not None:
+            found["base"] = {
+                "position [m]": list(pose.position),
+                "quaternion": list(pose.quaternion),
+            }
+        return found
+    if not isinstance(record, IdentificationRecord) or before.fit is None:
+        return {}
+    values = {
+        f"{family}.{name}.{attribute}": value
+        for family, elements in record.fit.items()
+        for name, fitted in elements.items()
+        for attribute, value in before.fit.patches.get(family, {}).get(name, {}).items()
+        if attribute in fitted
+    }
+    return dict(values)
 
 
 def _records_in_use(twin: Twin) -> Iterator[tuple[RecordState, Twin]]:
@@ -379,20 +407,40 @@ def _with_changed_files(state: RecordState, twin: Twin, digests: FileDigests) ->
 
 
 def with_records(
-    dependencies: DependencyMap, states: Sequence[RecordState], structures: Mapping[str, Structure]
+    dependencies: DependencyMap, states: Sequence[RecordState], models: Mapping[str, Model]
 ) -> DependencyMap:
-    """Add the state of each record to the goldens whose result the record determines."""
+    """Add, to each golden, the states of the records that its result depends on, and the values
+    of the model that ``fit:`` replaces.
+
+    The result does not depend on a replaced value, but a change of it is a change of the robot.
+    """
     parts = {**dependencies.parts, **{state.part.id: state.part for state in states}}
     depends_on = {}
     for key, ids in dependencies.depends_on.items():
-        structure = structures.get(key.rpartition("@")[2])
-        added = {
-            state.part.id
-            for state in states
-            if structure is not None and not ids.isdisjoint(state.overridden(structure))
-        }
+        model = models.get(key.rpartition("@")[2])
+        added: set[str] = set()
+        if model is not None:
+            added |= {
+                state.part.id
+                for state in states
+                if not ids.isdisjoint(state.overridden(model.structure))
+            }
+            sources = [source_part(model.replaced[ident]) for ident in ids & model.replaced.keys()]
+            added |= {part.id for part in sources}
+            parts.update({part.id: part for part in sources})
         depends_on[key] = ids | added
     return DependencyMap(parts, depends_on)
+
+
+def source_part(replaced: Part) -> Part:
+    """Part with the model's own values, beside the part of the same id with the values in use."""
+    realization, _, name = replaced.id.partition("/")
+    return Part(f"{realization}{_SOURCE}{name}", replaced.content)
+
+
+def is_source_part(ident: str) -> bool:
+    """Whether a part has the model's own values, which ``fit:`` replaces."""
+    return _SOURCE in ident.partition(":")[0]
 
 
 def stale_lines(states: Sequence[RecordState], twin: Twin) -> tuple[str, ...]:
@@ -414,7 +462,11 @@ def with_reasons_of_records(
     # The changed inputs say more than that the state of the record changed.
     explained = {state.part.id for state in stale}
     return (
-        *(reason for reason in reasons if reason.part not in explained),
+        *(
+            reason
+            for reason in reasons
+            if reason.part not in explained and not (stale and is_source_part(reason.part))
+        ),
         *(reason for state in stale for reason in state.reasons),
     )
 

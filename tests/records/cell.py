@@ -120,7 +120,8 @@ def write_calibration(root: Path) -> Path:
     plan = load_plan(root / "plan.yaml")
     folder = root / "measured"
     folder.mkdir(exist_ok=True)
-    inputs = ("plan.yaml", "observations.csv", "twin.yaml")
+    assert plan.robot is not None
+    inputs = ("plan.yaml", "observations.csv", plan.robot.name)
     document = {
         "schema": 1,
         "calibration": "zeros",

@@ -26,9 +26,9 @@ from lxml import etree
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import load
 from pytest_twin.realization.encoders import Encoders
-from pytest_twin.realization.record_inputs import states_of_records
+from pytest_twin.realization.record_inputs import replaced_parts, states_of_records
 from pytest_twin.records.state import with_records
-from pytest_twin.staleness import DependencyMap, staleness
+from pytest_twin.staleness import DependencyMap, Model, staleness
 from pytest_twin.twin import load_twin
 
 sys.path.append(str(Path(__file__).parents[1] / "dependency"))
@@ -122,7 +122,8 @@ def dependencies(root: Path) -> DependencyMap:
     twin = load_twin(root / "twin.yaml")
     model = load(twin.first_realization.file, twin=twin)
     states = states_of_records(twin)
-    return with_records(dependency_map_of(root), states, {"mujoco": model.structure})
+    models = {"mujoco": Model(model.parts, model.structure, replaced_parts(model))}
+    return with_records(dependency_map_of(root), states, models)
 
 
 def predictions(root: Path) -> list[Any]:

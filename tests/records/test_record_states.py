@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
-from cell import changed, edit, states, write_cell, write_identification
+from cell import changed, edit, states, write_calibration, write_cell, write_identification
 
 from pytest_twin import cli
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.records.state import unknown_statements
+from pytest_twin.realization import load
+from pytest_twin.realization.record_inputs import replaced_parts, states_of_records
+from pytest_twin.records.state import unknown_statements, with_records
+from pytest_twin.staleness import DependencyMap, Model, staleness
 from pytest_twin.twin import load_twin
+
+sys.path.append(str(Path(__file__).parents[1] / "dependency"))
+
+from dependency_map_of import dependency_map_of, proven
 
 
 @pytest.fixture(scope="module")
@@ -223,4 +231,57 @@ def test_a_prediction_with_a_stale_record_has_a_note(
     assert cli.main(["replay", str(cell / "twin.yaml"), *arguments]) == 0
     assert "record 'identified' is stale: its inputs changed: inertia:fore: mass" in (
         capsys.readouterr().out
+    )
+
+
+def reasons_of_goldens(root: Path, released: DependencyMap) -> list[str]:
+    found = staleness(dependencies_of(root), proven(released))
+    return [str(reason) for why in found.values() for reason in why]
+
+
+def dependencies_of(root: Path) -> DependencyMap:
+    twin = load_twin(root / "twin.yaml")
+    models = {}
+    for name, reference in twin.realizations.items():
+        robot = load(reference.file, twin=twin, name=name)
+        models[name] = Model(robot.parts, robot.structure, replaced_parts(robot))
+    return with_records(dependency_map_of(root), states_of_records(twin), models)
+
+
+def test_values_that_a_fit_replaces_make_the_goldens_of_every_realization_stale(
+    cell: Path,
+) -> None:
+    """The record was made with one realization, and replaces the values of another too."""
+    shutil.copy(cell / "arm.xml", cell / "second.xml")
+    edit(cell / "twin.yaml", "model: arm.xml", "realizations: {a: {file: arm.xml}, "
+         "b: {file: second.xml}}")  # fmt: skip
+    (cell / "golden").mkdir()
+    (cell / "golden" / "mass.yaml").write_text(
+        "schema: 1\nkind: mass_properties\nrealizations: [a, b]\nstimulus: {poses: [reference]}\n"
+        "tolerance: {mass: 1 g, center_of_mass: 1 mm}\n"
+    )
+    released = dependencies_of(cell)
+    assert reasons_of_goldens(cell, released) == []
+    edit(cell / "second.xml", 'mass="0.6"', 'mass="0.642"')
+    assert reasons_of_goldens(cell, released) == ["b/source/inertia:fore: mass 0.6 -> 0.642 kg"]
+
+
+def test_a_stated_zero_beneath_a_calibration_makes_its_goldens_stale(cell: Path) -> None:
+    """The plan named the URDF alone, so that the record itself knows of no stated zero."""
+    edit(cell / "plan.yaml", "robot: twin.yaml", "robot: arm.xml")
+    write_calibration(cell)
+    edit(
+        cell / "twin.yaml",
+        "joints: {elbow: {sign: -1,",
+        "joints: {shoulder: {offset: 0.1}, elbow: {",
+    )
+    (cell / "golden").mkdir()
+    (cell / "golden" / "replay.yaml").write_text(
+        "schema: 1\nkind: replay\ntarget: {recording: one.csv}\ntolerance: {angle_rms: 1 mrad}\n"
+    )
+    released = dependencies_of(cell)
+    edit(cell / "twin.yaml", "offset: 0.1", "offset: 0.2")
+    assert "zeros" not in changed(cell)
+    assert "basis:zeros: overrides.shoulder.offset 0.1 -> 0.2 rad or m" in reasons_of_goldens(
+        cell, released
     )
