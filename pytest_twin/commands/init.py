@@ -278,6 +278,10 @@ def _propose_anew(twin_file: Path, args: argparse.Namespace) -> int:
         "failing": failing,
         "unwritten": unwritten,
         "left_out": left_out | found["silent"],
+        "nothing_to_propose": found["none"],
+        "notes": [],
+        "notes_of_goldens": _notes(found["specs"]),
+        "asset": None,
     }
     json_output.give(args, summary)
     show(

@@ -28,10 +28,11 @@ def test_a_valid_release_prints_a_summary_and_exits_with_0(
 ) -> None:
     assert cli.main(["verify", str(twin_with_two_releases / "releases" / "0002")]) == 0
     out, err = capsys.readouterr()
-    first, second, third = out.splitlines()
-    assert first == "holds: release 2 of 'arm'"
+    first, second, third, *gaps = out.splitlines()
+    assert first == "holds: release 2 of 'arm', not audited, no motion tested"
     assert second.startswith("  made ")
     assert third == "  1 golden, 6 files in the release"
+    assert [gap.split(":")[0] for gap in gaps] == ["  not audited", "  thin"]
     assert err == ""
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from pytest_twin.cli import main
+from pytest_twin.formats.schema import load_schema
 
 LINK = """<link name='{name}'><inertial><origin xyz='0 0 .1'/><mass value='1'/>
 <inertia ixx='.004' iyy='.004' izz='.001' ixy='0' ixz='0' iyz='0'/></inertial></link>"""
@@ -41,8 +44,11 @@ def test_goldens_that_no_longer_fit_the_drives_are_proposed_anew(
     assert "checked by hand" in mine.read_text()
     assert "FAILS" not in said
     # A second call finds nothing to replace.
-    assert main(["init", str(twin_file)]) == 0
-    assert "0 goldens proposed and recorded, 0 of them" in capsys.readouterr().out
+    assert main(["init", str(twin_file), "--json", "-"]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    jsonschema.validate(fields, load_schema("results/init.schema.json"))
+    assert fields["goldens"] == []
+    assert fields["replaced"] == fields["cannot_be_compared"] == {}
 
 
 def test_a_twin_takes_no_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
