@@ -78,9 +78,6 @@ def finish(
     facts = gate.facts(session)
     untested = gaps(_results(facts)) if policy.sign else ()
     lines = [*(gap.sentence for gap in untested), *plan.notes]
-    if not policy.sign:
-        # A release lists them among its reasons.
-        lines += plan.stale_records
     proven = facts.proven.keys() - facts.outcomes.keys()
     if proven and plan.baseline is not None:
         lines.append(f"{len(proven)} still proven by release {plan.baseline.number:04d}")
