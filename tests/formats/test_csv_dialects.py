@@ -244,3 +244,18 @@ def test_a_damaged_compressed_file_is_refused(tmp_path: Path, cut: int) -> None:
         read(tmp_path, gzip.compress(csv().encode())[:cut], "log.csv.gz")
     with pytest.raises(FormatError, match="not a gzip file"):
         read(tmp_path, csv(), "log.csv.gz")
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "time,a.position " + "(a" * 400_000,
+        "time,a.position (" + "a" * 900_000,
+        "time," + "/a" * 450_000,
+        ",".join(["time", *(f"j{n}.position" for n in range(8000))]),
+        "#\n" * 200,
+    ],
+)
+def test_a_hostile_header_is_refused_quickly(tmp_path: Path, header: str) -> None:
+    with pytest.raises((FormatError, LimitError)):
+        read(tmp_path, header + "\n0.0,1\n")

@@ -102,6 +102,7 @@ class _Table:
         self.left_out: list[str] = []
         self.time_at = self.time_column(mapped)
         found: dict[int, Column] = {}
+        keys: set[tuple[str, str, str | None]] = set()
         for at, heading in enumerate(self.header):
             if at == self.time_at:
                 continue
@@ -114,12 +115,13 @@ class _Table:
                     "not a usable name of a joint", at, value=column.joint,
                     expected=f"printable text of at most {limits.CSV.name_chars} characters",
                 )  # fmt: skip
-            if column.key in {other.key for other in found.values()}:
+            if column.key in keys:
                 raise self.error(
                     f"two columns are {column.joint}.{column.quantity or 'command'}", at,
                     value=heading, expected="one column for each quantity of a joint",
                 )  # fmt: skip
             found[at] = column
+            keys.add(column.key)
         if not found:
             topics = topics_in(self.header)
             example = topics[-1] if topics else ""

@@ -19,6 +19,8 @@ _BLOCK_BYTES = 2**20
 # Lines before the headings, such as comments.
 _LINES_BEFORE = 100
 _EXCEL_SEPARATOR = re.compile(r"sep=(.)", re.IGNORECASE)
+_TEXT = re.compile(rb"\S")
+_NUMBER = re.compile(rb'\s*"?[-+]?[\d.]')
 _COMMA_NUMBER = re.compile(rb"(?<![\d,.])[-+]?\d+,\d+(?:[eE][-+]?\d+)?(?![\d,.])")
 _POINT_NUMBER = re.compile(rb"(?<![\d,.])[-+]?\d+\.\d+(?:[eE][-+]?\d+)?(?![\d,.])")
 # 1,234 may be 1.234 or 1234; 0,234 and 1,23 are decimals.
@@ -113,26 +115,24 @@ def _split(path: Path, data: bytes) -> tuple[str, str, int, bytes]:
 
     Comments before the headings are skipped; headings may themselves be a comment.
     """
-    separator = ""
+    separator, start = "", 0
     for line in range(1, _LINES_BEFORE + 1):
-        head, _, rest = data.partition(b"\n")
-        if len(head) > limits.CSV.header_bytes:
+        end = data.find(b"\n", start)
+        end = len(data) if end < 0 else end
+        if end - start > limits.CSV.header_bytes:
             raise LimitError(
                 "the first line is too long", path=path, line=line,
                 expected=f"at most {limits.CSV.header_bytes} bytes",
             )  # fmt: skip
-        text = decode_text(head, path).strip()
+        text = decode_text(data[start:end], path).strip()
+        start = end + 1
         stated = _EXCEL_SEPARATOR.fullmatch(text)
+        is_last = _TEXT.search(data, start) is None
         if stated is not None and stated[1] in _SEPARATORS:
             separator = stated[1]
-        elif (text and not text.startswith("#")) or not rest.strip() or _begins_with_number(rest):
-            return text.removeprefix("#").strip(), separator, line, rest
-        data = rest
+        elif (text and not text.startswith("#")) or is_last or _NUMBER.match(data, start):
+            return text.removeprefix("#").strip(), separator, line, data[start:]
     raise FormatError("no headings", path=path, line=line, expected="a line of headings")
-
-
-def _begins_with_number(rows: bytes) -> bool:
-    return re.match(rb'\s*"?[-+]?[\d.]', rows) is not None
 
 
 def _outside_quotes(line: str) -> str:

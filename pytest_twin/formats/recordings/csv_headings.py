@@ -12,6 +12,7 @@ from pytest_twin.formats.ros_serialization import QUANTITIES
 TIME = "time"
 FIELDS = (*QUANTITIES, "command")
 PLOTJUGGLER_TIME = "__time"
+_HEADING_CHARS = 1024
 _UNIT = re.compile(r"(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*[^\d\s\[\]()][^\[\]()]*)[\])]")
 _DEGREE = math.pi / 180.0
 _UNITS: Mapping[str, tuple[str, float]] = {
@@ -108,13 +109,15 @@ def _column(joint: str, role: str, quantity: str | None, unit: str) -> Column:
 
 def topics_in(headings: list[str]) -> list[str]:
     """Return the topics of headings that PlotJuggler writes."""
-    found = (_TOPIC.fullmatch(heading) for heading in headings)
+    short = (heading for heading in headings if len(heading) <= _HEADING_CHARS)
+    found = (_TOPIC.fullmatch(heading) for heading in short)
     return sorted({match["topic"] for match in found if match is not None})
 
 
 def split_unit(heading: str) -> tuple[str, str]:
     """Return a heading without its unit, and the unit, such as ``q1 [deg]``."""
-    match = _UNIT.fullmatch(heading.strip())
+    # A longer heading is no usable name, and would take long.
+    match = None if len(heading) > _HEADING_CHARS else _UNIT.fullmatch(heading.strip())
     # position[elbow] is a name of PlotJuggler and no unit.
     if match is None or (match["name"].endswith(QUANTITIES) and "/" in match["name"]):
         return heading, ""
