@@ -136,6 +136,17 @@ def test_markers_with_known_places_in_the_tool_determine_its_full_pose() -> None
     assert cells.truth_inside(found, "base_world", inverse(world)).count(True) >= 5
 
 
+def test_intervals_from_points_contain_the_true_values() -> None:
+    inside: list[bool] = []
+    for seed in range(10):
+        observations, world, tool = marker_observations(np.random.default_rng(seed), PLACES)
+        found = calibrate(cells.plan("tcp", "base_world", points=PLACES), observations, None)
+        inside += cells.truth_inside(found, "tcp", tool)
+        inside += cells.truth_inside(found, "base_world", inverse(world))
+    # The 12 intervals of a cell are correlated, so the bound is 88 % instead of 95 %.
+    assert 0.88 <= np.mean(inside) < 1.0
+
+
 def test_points_of_a_mirrored_frame_are_named() -> None:
     rng = np.random.default_rng(5)
     observations, _, _ = marker_observations(rng, PLACES)
