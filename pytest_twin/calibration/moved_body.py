@@ -20,6 +20,10 @@ from pytest_twin.calibration.solve import Fit, prior_rows, prior_values
 LEAST_ROWS = 4
 """Fewest rows before and after a step. Fewer wrong rows are outliers."""
 
+LEAST_M, LEAST_RAD = 5e-4, 2e-3
+"""Smallest step of a body, m and rad. Errors of lens and arm that neighbouring rows share are as
+large as 0.1 mm and 1 mrad."""
+
 _CHANCE = 1e-6
 """Significance level of a step (Bonferroni over the rows). Errors of an arm that follow the order
 of the poses are no steps, but reach a level of 0.001."""
@@ -60,6 +64,8 @@ def moved_body(problem: Problem, fit: Fit) -> InputMistake | None:
     if best is None:
         return None
     _, name, row, step = best
+    if np.linalg.norm(step[:3]) < LEAST_M and np.linalg.norm(step[3:]) < LEAST_RAD:
+        return None
     what = describe_pose(name, problem.plan.mount)
     ids = problem.observations.ids
     here, before = ids[row], ids[row - 1]

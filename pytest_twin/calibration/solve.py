@@ -32,6 +32,10 @@ OUTLIER_RATIO = 3.5
 of a real robot have heavier tails than the normal distribution. Its bound alone would exclude one
 pose in six of a good data set and bias the fit towards the model."""
 
+LEAST_OUTLIER = {"translation": 1e-4, "rotation": 1e-3, "point": 1e-4, "pixel": 0.1}
+"""Smallest residual of an outlier, m, rad, m and px. Lens and corners of images have errors of this
+size that are no mistakes."""
+
 LEAST_ROWS = 8
 """Fewest observations for excluding outliers. Two or three poses always agree with each other."""
 
@@ -124,7 +128,7 @@ def solve(problem: Problem, start: State) -> Fit:
     for _ in range(_EXCLUDING_ITERATIONS):
         chosen = everything
         if robust:
-            chosen = _inliers(problem, _distances(problem, residuals, noise))
+            chosen = _inliers(problem, residuals, _distances(problem, residuals, noise))
         same = all(np.array_equal(a, b) for a, b in zip(chosen, kept, strict=True))
         kept = chosen
         state = _least_squares(problem, state, noise, [one.astype(float) for one in kept])
@@ -247,13 +251,16 @@ def _noise(
     return found
 
 
-def _inliers(problem: Problem, distances: list[FloatArray]) -> tuple[np.ndarray, ...]:
+def _inliers(
+    problem: Problem, residuals: list[FloatArray], distances: list[FloatArray]
+) -> tuple[np.ndarray, ...]:
     total = sum(len(one) for one in distances)
     found = []
-    for term, distance in zip(problem.terms, distances, strict=True):
+    for term, residual, distance in zip(problem.terms, residuals, distances, strict=True):
         bound = chi2.isf(OUTLIER_PROBABILITY / total, len(term.noise))
         typical = float(np.quantile(distance, LEAST_INLIERS))
-        found.append(distance <= max(bound, OUTLIER_RATIO**2 * typical))
+        small = np.abs(residual) < [LEAST_OUTLIER[name] for name in term.noise]
+        found.append((distance <= max(bound, OUTLIER_RATIO**2 * typical)) | small.all(axis=1))
     return tuple(found)
 
 

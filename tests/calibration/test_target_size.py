@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cells
@@ -18,8 +19,9 @@ from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.intrinsics import make_intrinsics
 from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
-from pytest_twin.calibration.plan import Accept, HoldOut
+from pytest_twin.calibration.plan import Accept, HoldOut, load_plan
 from pytest_twin.calibration.run import calibrate
+from pytest_twin.errors import SpecError
 
 TOLERANCE = 0.002
 BOARD = {"kind": "chessboard", "squares": [8, 5], "square": 0.03}
@@ -159,3 +161,16 @@ def test_the_default_tolerance_is_said() -> None:
     _, found = calibrated("poses", "hand", 1.0, seed=1)
     assert any("differ from the stated one by 0.2 %" in note for note in found["notes"])
     assert found["records"]["target_scale"]["prior_std"] == TOLERANCE
+
+
+def test_a_plan_states_the_tolerance_without_a_kind_of_target(tmp_path: Path) -> None:
+    (tmp_path / "observations.csv").write_text("id,joint.a\n0,0.0\n")
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(
+        "calibration: cell\nobservations: observations.csv\nestimate: [hand_eye]\n"
+        "target: {tolerance: 0.005}\n"
+    )
+    assert load_plan(plan).target_tolerance == 0.005
+    plan.write_text(plan.read_text().replace("0.005", "-0.1"))
+    with pytest.raises(SpecError, match="tolerance"):
+        load_plan(plan)
