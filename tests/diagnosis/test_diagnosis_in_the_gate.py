@@ -42,7 +42,9 @@ def twin(root: Path, **hidden: float) -> Path:
     recordings = root / "recordings"
     case(recordings, joints=JOINTS, seconds=2.2, **hidden)
     (recordings / "model.xml").rename(root / "model.xml")
-    (root / "twin.yaml").write_text("name: arm\nmodel: model.xml\n")
+    (root / "twin.yaml").write_text(
+        "name: arm\nmodel: model.xml\nretired: {golden/asset/audit: it has its own tests}\n"
+    )
     folder = root / "golden" / "replay"
     folder.mkdir(parents=True)
     for name in ("fit1", "held_out3"):

@@ -97,7 +97,7 @@ def test_the_given_tolerance_is_written_even_if_the_replay_exceeds_it(twin: Path
     assert golden["tolerance"] == {"angle_max": "0.01mrad"}
     report = json.loads((twin / ".twin" / "init.json").read_text())
     assert report["unwritten"] == []
-    assert report["failing"]["golden/replay/sweep"].startswith("angle_max of elbow: ")
+    assert report["failing"]["golden/replay/sweep"].startswith("angle_max of elbow exceeded ")
     assert "FAILS now: golden/replay/sweep" in made.stdout
     assert run("pytest", "golden/replay", cwd=twin).returncode == 1
 
