@@ -54,7 +54,7 @@ class Golden:
         tolerance: name -> quantity in SI units.
         expected: recorded values, None until ``--twin-update``.
         trace: recorded series, None where the kind has none or before ``--twin-update``.
-        provenance: None until ``--twin-update``: such a golden is unproven.
+        provenance: None until ``--twin-update``.
         unwritten: one line that names the tolerance that the user still has to write, and its
             place; None where all are written. Such a golden is neither run nor recorded.
         lines: dotted field -> 1-based line in ``path``.

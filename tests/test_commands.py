@@ -206,14 +206,3 @@ def test_shell_completion_contains_every_command_and_option(
     assert "held-out" in script
     if shutil.which(shell):
         subprocess.run([shell, "-n"], input=script, text=True, check=True)
-
-
-def test_without_its_package_completion_names_the_extra(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "shtab", None)
-    assert cli.main(["completion", "bash"]) == 2
-    assert capsys.readouterr().err == (
-        "pytest-twin completion: shell completion needs the package shtab "
-        "(expected pip install 'pytest-twin[completion]')\n"
-    )

@@ -73,6 +73,8 @@ class Check(ABC):
         required_tolerances: tolerances that a spec must state.
         schema: JSON Schema of ``target`` and ``stimulus``, as ``{"target": {}, "stimulus": {}}``.
         simulators: what can compute it; a realization on another is an error.
+        needs_record: whether a golden compares with values that ``--twin-update`` wrote. A kind
+            that compares with measured data alone runs, and is released, without them.
         recorded: whether goldens compare a realization with a recording, ``target.recording``.
             ``trial`` then reads it, and a failure can be diagnosed.
         dynamic: whether goldens compare motions or efforts over time, which need masses, friction
@@ -86,6 +88,7 @@ class Check(ABC):
     required_tolerances: ClassVar[frozenset[str]] = frozenset()
     schema: ClassVar[Mapping[str, Any]]
     simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco",)
+    needs_record: ClassVar[bool] = True
     recorded: ClassVar[bool] = False
     dynamic: ClassVar[bool] = False
 

@@ -43,6 +43,7 @@ class CalibrationCheck(Check):
     """
 
     kind: ClassVar[str] = "calibration"
+    needs_record: ClassVar[bool] = False
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy", "pin")
     tolerances: ClassVar[Mapping[str, str]] = {"position": "m", "orientation": "rad"}
     required_tolerances: ClassVar[frozenset[str]] = frozenset({"position"})

@@ -32,6 +32,7 @@ class IdentificationCheck(Check):
     """
 
     kind: ClassVar[str] = "identification"
+    needs_record: ClassVar[bool] = False
     dynamic: ClassVar[bool] = True
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy", "pin")
     tolerances: ClassVar[Mapping[str, str]] = {"effort": "1", "torque": "N*m", "force": "N"}

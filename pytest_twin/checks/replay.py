@@ -102,6 +102,7 @@ class Replay(Check):
     """
 
     kind: ClassVar[str] = "replay"
+    needs_record: ClassVar[bool] = False
     dynamic: ClassVar[bool] = True
     recorded: ClassVar[bool] = True
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "mcap")

@@ -34,6 +34,7 @@ class TcpAccuracy(Check):
     """
 
     kind: ClassVar[str] = "tcp_accuracy"
+    needs_record: ClassVar[bool] = False
     tolerances: ClassVar[Mapping[str, str]] = {
         "position": "m",
         "orientation": "rad",

@@ -8,8 +8,6 @@ from __future__ import annotations
 import argparse
 import sys
 
-from pytest_twin.errors import TwinError
-
 HELP = "print a script that completes pytest-twin's commands and options in your shell"
 EXAMPLES = (
     'eval "$(pytest-twin completion bash)"                # in ~/.bashrc',
@@ -29,17 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the script; return 0.
+    """Print the script; return 0."""
+    import shtab
 
-    Raises:
-        TwinError: the extra ``completion`` is not installed.
-    """
-    try:
-        import shtab
-    except ImportError:
-        raise TwinError(
-            "shell completion needs the package shtab",
-            expected="pip install 'pytest-twin[completion]'",
-        ) from None
     sys.stdout.write(shtab.complete(args.every_command(), args.shell) + "\n")
     return 0

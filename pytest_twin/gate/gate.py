@@ -16,7 +16,14 @@ from pytest_twin.gate.asset_chain import changes_since, lost_manifests
 from pytest_twin.gate.authority import recorded_without_authority
 from pytest_twin.gate.identity import digests
 from pytest_twin.gate.parts import changed_since, collect_dependencies
-from pytest_twin.gate.plan import NEVER_PROVEN, Plan, Task, baseline_of, missing_and_dropped
+from pytest_twin.gate.plan import (
+    NEVER_PROVEN,
+    Plan,
+    Task,
+    baseline_of,
+    lacks_record,
+    missing_and_dropped,
+)
 from pytest_twin.gate.process import GateProcess, released_files
 from pytest_twin.gate.runner import Runner
 from pytest_twin.gate.update import Update, record
@@ -222,7 +229,7 @@ class Gate:
         progress: Progress | None,
     ) -> Outcome:
         """Run one golden; an error where its tolerance is blank or it was never recorded."""
-        if golden.unwritten is not None or golden.provenance is None:
+        if golden.unwritten is not None or lacks_record(golden):
             return Outcome(
                 golden=golden.id,
                 kind=golden.kind,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin import staleness
+from pytest_twin.checks import check_of
 from pytest_twin.dependency import Part
 from pytest_twin.golden import Golden
 from pytest_twin.outcome import Outcome, Reason
@@ -94,9 +95,14 @@ class Plan:
 
     @property
     def unproven(self) -> tuple[str, ...]:
-        """Ids of goldens that were never recorded."""
+        """Ids of goldens that have to be recorded first."""
         goldens = {task.golden.id: task.golden for task in self.tasks.values()}
-        return tuple(ident for ident, golden in goldens.items() if golden.provenance is None)
+        return tuple(ident for ident, golden in goldens.items() if lacks_record(golden))
+
+
+def lacks_record(golden: Golden) -> bool:
+    """Whether a golden cannot be compared before ``--twin-update`` records it."""
+    return golden.provenance is None and check_of(golden.kind).needs_record
 
 
 def baseline_of(release: Release) -> staleness.Baseline:

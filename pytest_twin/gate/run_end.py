@@ -18,7 +18,7 @@ from pytest_twin.gate.authority import difference_lines
 from pytest_twin.gate.coverage import Gap, assumptions, gaps
 from pytest_twin.gate.failure_diagnosis import RealizationDiagnosis
 from pytest_twin.gate.gate import Gate
-from pytest_twin.gate.plan import NEVER_PROVEN, Task, line_of
+from pytest_twin.gate.plan import NEVER_PROVEN, Task, lacks_record, line_of
 from pytest_twin.gate.runner import plot_path
 from pytest_twin.gate.verdict import Facts, Refused, Releasable, SessionFacts, StillValid, judge
 from pytest_twin.outcome import Outcome
@@ -285,7 +285,7 @@ def _entries(gate: Gate, facts: Facts, diagnoses: Mapping[str, str]) -> Iterator
                 realization=task.realization,
                 criticality=golden.criticality,
                 status="error",
-                error="stale, and not run" if golden.provenance else NEVER_PROVEN,
+                error=NEVER_PROVEN if lacks_record(golden) else "stale, and not run",
                 reasons=task.reasons,
             )
         path = golden.path.relative_to(gate.root).as_posix()

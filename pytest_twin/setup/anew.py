@@ -9,6 +9,7 @@ from typing import Any
 
 from pytest_twin.errors import TwinError
 from pytest_twin.gate.gate import Gate
+from pytest_twin.gate.plan import lacks_record
 from pytest_twin.gate.specs import spec_paths
 from pytest_twin.setup.writing import spec_places, write_spec
 
@@ -73,7 +74,7 @@ def _why_not_compared(gate: Gate, path: Path) -> str | None:
     except TwinError:
         # A person has to correct the spec itself; pytest names the fault.
         return None
-    if golden.unwritten is not None or golden.provenance is None:
+    if golden.unwritten is not None or lacks_record(golden):
         return None
     outcome = gate.run_golden(golden, golden.realizations[0], reasons=(), progress=None)
     return outcome.error if outcome.status == "error" else None

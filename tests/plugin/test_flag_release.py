@@ -7,6 +7,7 @@ import shutil
 
 import pytest
 
+from pytest_twin.gate.specs import UNWRITTEN
 from pytest_twin.session.selection import selected_by
 
 SETTLE = """\
@@ -97,6 +98,31 @@ def test_a_critical_failure_refuses_the_release(recorded) -> None:
 def test_a_never_recorded_golden_refuses_the_release(twin) -> None:
     assert_release_refused(twin, "golden/fk/home: never recorded: run pytest --twin-update")
     twin.run().stdout.fnmatch_lines(["*golden/fk/home@mujoco: never recorded: run pytest --twin-*"])
+
+
+REPLAY = """\
+schema: 1
+kind: replay
+target: {recording: rest.csv}
+tolerance: {angle_rms: TOLERANCE}
+"""
+
+
+def test_a_replay_golden_is_compared_and_released_without_an_update(recorded) -> None:
+    rows = [f"{0.01 * k:.2f},0,0,0,0\n" for k in range(20)]
+    columns = ",".join(f"{j}.{c}" for j in ("shoulder", "elbow") for c in ("position", "command"))
+    recorded.write("rest.csv", f"time,{columns}\n{''.join(rows)}")
+    spec = "golden/replay/rest.yaml"
+    recorded.write(spec, REPLAY.replace("TOLERANCE", f"'{UNWRITTEN} 1 rad>'"))
+    assert_release_refused(recorded, "golden/replay/rest@mujoco: could not be compared: ")
+    recorded.write(spec, REPLAY.replace("TOLERANCE", "0.001 mrad"))
+    assert_release_refused(recorded, "golden/replay/rest@mujoco: a critical golden failed")
+    recorded.write(spec, REPLAY.replace("TOLERANCE", "1 rad"))
+    recorded.run("--twin-release").stdout.fnmatch_lines(["release 0001 signed: *"])
+    assert "golden/replay/rest" in _results(recorded, "0001")
+    # A change of the model makes it stale, as one of a recorded golden.
+    recorded.edit("arm.xml", 'kp="40"', 'kp="41"')
+    recorded.run("--twin-why").stdout.fnmatch_lines(["stale  golden/replay/rest@mujoco"])
 
 
 def test_a_trace_without_a_spec_refuses_the_release(released) -> None:
