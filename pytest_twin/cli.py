@@ -12,7 +12,9 @@ from collections.abc import Sequence
 from pytest_twin import __version__
 from pytest_twin.commands import json_output, terminal
 from pytest_twin.commands.help import UNUSABLE_INPUT, Parser, did_you_mean, epilog, options_of
+from pytest_twin.commands.model_files import declared_folders
 from pytest_twin.errors import TwinError, of_system
+from pytest_twin.formats.declared_folders import declaring
 from pytest_twin.interrupts import sigterm_as_interrupt
 from pytest_twin.systems import unsupported_system
 
@@ -79,7 +81,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     args = _parse(words)
     try:
-        with sigterm_as_interrupt(), json_output.text_stream(args):
+        with (
+            sigterm_as_interrupt(),
+            json_output.text_stream(args),
+            declaring(declared_folders(args)),
+        ):
             status: int = args.run(args)
         json_output.write(args)
         sys.stdout.flush()

@@ -75,6 +75,10 @@ class FormatError(TwinError):
     """A file that does not follow its format."""
 
 
+class PointerError(FormatError):
+    """A pointer of Git LFS in place of a file."""
+
+
 class LimitError(FormatError):
     """A file that exceeds a limit of size, depth, count, time or memory."""
 

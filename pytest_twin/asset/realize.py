@@ -6,7 +6,7 @@ This module runs in the child process, because it loads untrusted files.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from pytest_twin.asset.loss.matrix import Conversion, Matrix
 from pytest_twin.asset.normalize import Normalized, normalize
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
+from pytest_twin.formats.declared_folders import declared_folders
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import (
     inertia,
@@ -33,7 +34,6 @@ from pytest_twin.realization import (
 )
 from pytest_twin.realization.files.locate import locate
 from pytest_twin.realization.files.packages import Packages
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.node import Node
 
@@ -45,8 +45,6 @@ def realize(
     source: str,
     folder: str,
     accept: Sequence[str] = (),
-    packages: Mapping[str, str] | None = None,
-    roots: Sequence[str] = (),
     progress: Any = None,
 ) -> dict[str, Any]:
     """Write every form of a robot into an empty folder.
@@ -55,8 +53,6 @@ def realize(
         source: the URDF.
         folder: an empty folder for the results.
         accept: accepted patches, ``inertia-repair:<link>``.
-        packages: ROS package -> its folder, as given by the user.
-        roots: further folders that may contain its files, as given by the user.
         progress: called with the fraction done.
 
     Returns:
@@ -68,7 +64,7 @@ def realize(
     """
     say = progress or (lambda fraction: None)
     path, out = Path(source), Path(folder)
-    located = locate(path, search=SearchFolders.of(roots, packages))
+    located = locate(path)
     made = normalize(path, out, located=located, accept=accept)
     say(0.3)
     told = _apply_patches(urdf.read(path), made)
@@ -84,9 +80,9 @@ def realize(
         told.node.attributes.get("name", path.stem), path.name, tuple(c for c, _ in forms)
     )
     command: tuple[str, ...] = ("pytest-twin", "realize", path.name, "--out", "DIR")
-    for name in sorted(packages or {}):
+    for name in sorted(declared_folders().packages):
         command += ("--package", f"{name}=FOLDER")
-    command += ("--root", "FOLDER") * len(roots)
+    command += ("--root", "FOLDER") * len(declared_folders().roots)
     for patch in sorted(accept):
         command += ("--accept", patch)
     log = ChangeLog(command, tuple(made.changes), tuple(made.flags))

@@ -190,12 +190,12 @@ def _folder(path: Path, target: _Target) -> None:
             if entry.is_dir(follow_symlinks=False):
                 waiting.append(place)
                 continue
-            with open_regular(path / place) as stream:
+            with open_regular(path / place, links=False, pointers=True) as stream:
                 target.put(str(place), stream)
 
 
 def _archive(path: Path, target: _Target) -> None:
-    with open_regular(path) as stream:
+    with open_regular(path, pointers=True) as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > target.limits.archive_bytes:
             bound = f"at most {target.limits.archive_bytes} bytes"

@@ -9,20 +9,17 @@ from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import xml
+from pytest_twin.formats.declared_folders import declared_folders
 from pytest_twin.realization.files.locate import ModelFolders, locate
-from pytest_twin.realization.files.search import SearchFolders
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
-def read(
-    path: Path, search: SearchFolders | None = None, located: ModelFolders | None = None
-) -> Asset:
+def read(path: Path, located: ModelFolders | None = None) -> Asset:
     """Read a URDF, MJCF or USD file for the audit.
 
     Args:
         path: the robot's file.
-        search: folders that the user names for meshes and included files.
         located: folders for meshes and included files, where they are known already.
 
     Raises:
@@ -32,16 +29,15 @@ def read(
     if path.suffix.lower() in USD_SUFFIXES:
         from pytest_twin.audit.read_usd import read as read_stage
 
-        if located is not None:
-            return read_stage(path, located.roots.folders)
-        return read_stage(path, () if search is None else search.roots)
+        roots = declared_folders().roots if located is None else located.roots.folders
+        return read_stage(path, roots)
     tag = xml.parse(path).tag
     if tag == "robot":
-        return _add_irregularities(read_urdf.read(path, located or locate(path, search=search)))
+        return _add_irregularities(read_urdf.read(path, located or locate(path)))
     if tag == "mujoco":
         from pytest_twin.audit.read_mjcf import read as read_model
 
-        return _add_irregularities(read_model(path, located or locate(path, search=search)))
+        return _add_irregularities(read_model(path, located or locate(path)))
     raise ModelError(
         "not a robot model", path=path, line=1, value=str(tag), expected="<robot> or <mujoco>"
     )

@@ -23,7 +23,7 @@ from pytest_twin.audit.asset import (
 )
 from pytest_twin.audit.finding import Finding, Place, from_error
 from pytest_twin.audit.mesh_files import MeshFiles
-from pytest_twin.errors import FormatError, ModelError, TwinError
+from pytest_twin.errors import FormatError, ModelError, PointerError, TwinError
 from pytest_twin.realization import urdf
 from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
@@ -221,7 +221,9 @@ class _Reader:
                     error.unit,
                     error.expected,
                     "simulators leave the shape out, or refuse the robot",
-                    f"export {shape.file.name} again from CAD",
+                    "run git lfs pull in the checkout that the robot comes from"
+                    if isinstance(error, PointerError)
+                    else f"export {shape.file.name} again from CAD",
                 )
             )
 

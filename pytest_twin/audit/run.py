@@ -6,7 +6,7 @@ import base64
 import contextlib
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,6 @@ from pytest_twin.audit.srdf.files import srdfs_of
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import urdf
 from pytest_twin.realization.files.locate import ModelFolders
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
 SCHEMA = 1
@@ -84,8 +83,6 @@ def _not_audited(asset: Asset, layer: str, why: str) -> Finding:
 def audit_file(
     path: str,
     evidence_path: str | None = None,
-    packages: Mapping[str, str] | None = None,
-    roots: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Return the JSON report of a file, with PNG pictures as base64 under ``renders``.
@@ -96,7 +93,7 @@ def audit_file(
     say = progress or (lambda fraction: None)
     known = Evidence() if evidence_path is None else evidence.load(Path(evidence_path))
     with suppress_mujoco_warnings():
-        asset = read(Path(path), SearchFolders.of(roots, packages))
+        asset = read(Path(path))
         say(0.4)
         geometry = Geometry(asset)
         findings = audit(asset, known, geometry)

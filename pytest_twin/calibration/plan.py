@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.errors import SpecError
+from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import load_schema, validate
@@ -99,6 +99,7 @@ class Plan:
         references: pose -> joint -> its position at a hard stop or an index mark, rad or m.
         topics, frames: for recordings: measured quantity -> topic, or frame in ``/tf``.
         lines: dotted field -> 1-based line number.
+        roots: folders whose files the plan may name; its own folder by default.
     """
 
     id: str
@@ -120,6 +121,7 @@ class Plan:
     topics: Mapping[str, str] = field(default_factory=dict)
     frames: Mapping[str, str] = field(default_factory=dict)
     lines: Mapping[str, int] = field(default_factory=dict, repr=False)
+    roots: Roots | None = None
 
     @property
     def has_free_scale(self) -> bool:
@@ -141,6 +143,19 @@ class Plan:
         )
 
 
+def _roots(listed: Sequence[str], path: Path, lines: Mapping[str, int]) -> Iterator[Path]:
+    """Folders outside the plan's from which it allows to read."""
+    for at, reference in enumerate(listed):
+        where = f"roots.{at}"
+        folder = path.parent / reference
+        if not folder.is_dir():
+            raise PathError(
+                "no such folder", path=path, line=lines.get(where), where=where, value=reference,
+                expected="a folder",
+            )  # fmt: skip
+        yield folder
+
+
 def load_plan(path: Path) -> Plan:
     """Read and check a ``calibration.yaml``.
 
@@ -153,7 +168,8 @@ def load_plan(path: Path) -> Plan:
     document = yaml.load(path)
     validate(document, load_schema("calibration.schema.json"), path)
     data: Mapping[str, Any] = document.data
-    roots = Roots(path.parent)
+    own = Roots(path.parent)
+    roots = Roots(own.base, tuple(_roots(data.get("roots", ()), path, document.lines)))
 
     def file(reference: str, where: str, *, folder: bool = False) -> Path:
         line = document.lines.get(where)
@@ -202,6 +218,7 @@ def load_plan(path: Path) -> Plan:
         topics=data.get("recordings", {}).get("topics", {}),
         frames=data.get("recordings", {}).get("frames", {}),
         lines=document.lines,
+        roots=roots,
     )
     if not plan.observations and not plan.streams:
         raise plan.error("", "no observations", expected="observations: observations.csv")

@@ -97,7 +97,6 @@ def _call(args: argparse.Namespace) -> tuple[str, dict[str, object]]:
             )
     arguments: dict[str, object] = {
         "path": str(asset.resolve()),
-        **model_files.search_folders(args),
     }
     if asset.suffix.lower() == ".srdf" or args.urdf is not None:
         if args.evidence is not None:

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help=f"folder for {JSON_NAME} and {PAGE_NAME}",
     )
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

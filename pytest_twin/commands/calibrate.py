@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
@@ -80,6 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"accepted (default: {SECONDS:g}; 0: no limit); Ctrl-C and SIGTERM end it in the "
         "same way",
     )
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

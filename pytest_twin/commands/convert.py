@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
     add_reading_arguments,
@@ -76,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file, std_msgs/msg/Float64MultiArray (default: position if they follow the measured "
         "positions, else they are written to all three fields and the model decides)",
     )
+    model_files.add_root(parser)
 
 
 def run(args: argparse.Namespace) -> int:

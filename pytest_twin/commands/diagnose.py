@@ -25,7 +25,6 @@ from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.interrupts import first_interrupt
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
@@ -124,7 +123,6 @@ def run(args: argparse.Namespace) -> int:
         "seconds": seconds,
         "own_time": args.seconds is None,
         "answer_first": args.fleet is None and (seconds > 0.0 or sys.stderr.isatty()),
-        **model_files.search_folders(args),
     }
     if args.fleet is not None:
         if args.model is not None:
@@ -220,7 +218,6 @@ class DiagnosisRequest:
         folder: folder that it becomes; itself if empty.
         topics: role -> topic, overrides the twin's topics.
         options: options for reading recordings, override the twin's options.
-        packages, roots: folders that may contain the model's files.
         seconds: time limit of the search, s; 0 for no limit.
         own_time: whether ``seconds`` is the command's default, not the user's choice.
         answer_first: whether a quick diagnosis of one recording comes first.
@@ -233,8 +230,6 @@ class DiagnosisRequest:
     out: str
     topics: Mapping[str, str]
     options: Mapping[str, Any]
-    packages: Mapping[str, str] | None = None
-    roots: Sequence[str] = ()
     seconds: float = 0.0
     own_time: bool = False
     answer_first: bool = False
@@ -275,8 +270,7 @@ def diagnose_files(
 
     asked = DiagnosisRequest(**request)
     options = RecordingOptions.from_json(asked.options)
-    search = SearchFolders.of(asked.roots, asked.packages)
-    loaded = load_model(Path(asked.model), search, options.base)
+    loaded = load_model(Path(asked.model), options.base)
     trials = read_trials(
         [Path(r) for r in asked.recordings],
         [Path(r) for r in asked.held_out],

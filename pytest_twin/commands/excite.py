@@ -70,16 +70,13 @@ def run(args: argparse.Namespace) -> int:
         TwinError: the input cannot be used, or its limits are not approved.
     """
     model = str(find_model(args.model))
-    search = model_files.search_folders(args)
     out: Path = args.out
     with (
         results.result_folder(out, FILE_NAME) as staging,
         Sandbox(seconds=_SECONDS) as sandbox,
         Progress("designing motions") as progress,
     ):
-        blank = sandbox.call(
-            "pytest_twin.excitation.excite:missing_template", {"model": model, **search}
-        )
+        blank = sandbox.call("pytest_twin.excitation.excite:missing_template", {"model": model})
         if blank["template"]:
             show(blank["template"])
         found = sandbox.call(
@@ -89,7 +86,6 @@ def run(args: argparse.Namespace) -> int:
                 "out": str(staging),
                 "seed": args.seed,
                 "solver": args.solver,
-                **search,
             },
             progress=progress,
         )

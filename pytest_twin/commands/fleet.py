@@ -15,6 +15,7 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic, results, yaml
+from pytest_twin.formats.declared_folders import DeclaredFolders, declared_folders, declaring
 from pytest_twin.formats.file_names import portable_name
 from pytest_twin.gate.failure_diagnosis import REPORT_FILE
 from pytest_twin.realization.executor import Dask, Executor, Forks
@@ -68,11 +69,13 @@ class Options:
         out: parent of the folders of all robots.
         threads: cores of each diagnosis, 0 for all.
         arguments: fields of ``DiagnosisRequest`` other than files.
+        declared: folders that the command line declares.
     """
 
     out: Path
     threads: int = 0
     arguments: Mapping[str, Any] = field(default_factory=dict)
+    declared: DeclaredFolders = field(default_factory=DeclaredFolders)
 
 
 def read_fleet(path: Path) -> list[Robot]:
@@ -125,13 +128,14 @@ def diagnose_robot(robot: Robot, options: Options) -> Outcome:
 
     since = time.perf_counter()
     try:
-        summary = diagnose_into(
-            options.out / robot.name,
-            robot.model,
-            robot.recordings,
-            robot.held_out,
-            {**options.arguments, "threads": options.threads},
-        )
+        with declaring(options.declared):
+            summary = diagnose_into(
+                options.out / robot.name,
+                robot.model,
+                robot.recordings,
+                robot.held_out,
+                {**options.arguments, "threads": options.threads},
+            )
     except TwinError as error:
         return Outcome(robot.name, None, str(error), time.perf_counter() - since)
     return Outcome(robot.name, summary["verdict"], "", time.perf_counter() - since)
@@ -173,7 +177,9 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
     threads = max(1, usable_cores() // jobs) if args.scheduler is None else 1
     # It describes the robots' folders, which are replaced one by one.
     results.withdraw(out, FLEET_FILE)
-    outcomes = diagnose_fleet(robots, Options(out, threads, arguments), executor)
+    outcomes = diagnose_fleet(
+        robots, Options(out, threads, arguments, declared_folders()), executor
+    )
     said = {
         "schema": 1,
         "robots": {

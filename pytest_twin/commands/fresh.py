@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin import release
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of the twin (default: a parent folder of DATASET or of the working directory, "
         "else the folder from which the data set was stamped)",
     )
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

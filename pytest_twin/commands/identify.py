@@ -172,7 +172,6 @@ def run(args: argparse.Namespace) -> int:
                             "topic": args.pose_topic,
                             "wrench": args.wrench_topic,
                         },
-                        **model_files.search_folders(args),
                     }
                 },
                 progress=progress,

@@ -154,10 +154,7 @@ def _set_up(
     robot: Path, asset: tuple[Path, Manifest] | None, folder: Path, args: argparse.Namespace
 ) -> int:
     with Sandbox(cwd=None) as sandbox, Progress("reading the robot") as progress:
-        search = model_files.search_folders(args)
-        seen = sandbox.call(
-            "pytest_twin.setup.inspection:inspect_model", {"model": str(robot), **search}
-        )
+        seen = sandbox.call("pytest_twin.setup.inspection:inspect_model", {"model": str(robot)})
         atomic.make_folder(folder)
         brought = copy_into_twin(
             RobotFiles(
@@ -165,7 +162,7 @@ def _set_up(
                 [Path(path) for path in seen["files"]],
                 Path(seen["root"]),
                 {name: Path(package) for name, package in seen["packages"].items()},
-                [Path(root) for root in search["roots"]],
+                [root.resolve() for root in args.root],
                 () if asset is None else manifest.all_files(*asset),
             ),
             folder,

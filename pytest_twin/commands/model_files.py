@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from pytest_twin.errors import SpecError
-from pytest_twin.realization.files.search import SearchFolders, SearchFoldersJson
+from pytest_twin.formats.declared_folders import DeclaredFolders
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options ``root`` and ``package``."""
-    parser.add_argument(
-        "--root",
-        metavar="DIR",
-        action="append",
-        default=[],
-        type=Path,
-        help="another folder from which meshes, textures and includes may be read, in addition to "
-        "the model's own root (its package, its checkout, or the nearest folder that contains all "
-        "files that it names); may be repeated",
-    )
+    add_root(parser)
     parser.add_argument(
         "--package",
         metavar="NAME=DIR",
@@ -30,21 +22,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def search_folders(args: argparse.Namespace) -> SearchFoldersJson:
-    """Return the folders of the two options as absolute paths, for a child process.
+def add_root(parser: argparse.ArgumentParser) -> None:
+    """Declare the option ``root``."""
+    parser.add_argument(
+        "--root",
+        metavar="DIR",
+        action="append",
+        default=[],
+        type=Path,
+        help="another folder from which meshes, textures, includes, recordings and images may be "
+        "read and in which links may end, in addition to the model's own root (its package, its "
+        "checkout, or the nearest folder that contains all files that it names); may be repeated",
+    )
+
+
+def declared_folders(args: argparse.Namespace) -> DeclaredFolders:
+    """Return the folders of the two options, and the files and folders that the user named.
 
     Raises:
         SpecError: a package has no name, or a folder does not exist.
     """
     packages = {}
-    for word in args.package:
+    for word in getattr(args, "package", []):
         name, equals, folder = word.partition("=")
         if not (name and equals and Path(folder).is_dir()):
             raise SpecError(
                 "no package", where="--package", value=word, expected="NAME=DIR, a folder"
             )
         packages[name] = Path(folder).resolve()
-    for root in args.root:
+    roots = getattr(args, "root", [])
+    for root in roots:
         if not root.is_dir():
             raise SpecError("no such folder", where="--root", value=root, expected="a folder")
-    return SearchFolders(tuple(root.resolve() for root in args.root), packages).to_json()
+    # Who names a link on the command line means the file behind it.
+    named = [path for path in _paths(vars(args).values()) if path.is_symlink()]
+    return DeclaredFolders(tuple(path.resolve() for path in (*roots, *named)), packages)
+
+
+def _paths(values: Iterable[object]) -> Iterator[Path]:
+    for value in values:
+        if isinstance(value, Path):
+            yield value
+        elif isinstance(value, list):
+            yield from _paths(value)

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -89,6 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"folder for {JSON_NAME}, {PAGE_NAME}, a sampler and configurations of simulators",
     )
     add_recording_arguments(parser)
+    model_files.add_arguments(parser)
 
 
 def robots(text: str) -> int:

@@ -79,7 +79,6 @@ def run(args: argparse.Namespace) -> int:
                 "source": str(source),
                 "folder": str(staging),
                 "accept": args.accept,
-                **model_files.search_folders(args),
             },
             progress=progress,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,6 @@ from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
 from pytest_twin.report import replay as page
@@ -99,7 +98,6 @@ def run(args: argparse.Namespace) -> int:
                     "topics": args.topics,
                     "options": recording_options(args),
                     "episode": args.episode,
-                    **model_files.search_folders(args),
                 },
             },
             progress=progress,
@@ -146,7 +144,6 @@ class ReplayRequest:
         topics: role -> topic, overrides the twin's topics.
         options: options for reading recordings, override the twin's options.
         episode: episode of a data set, from 0.
-        packages, roots: folders that may contain the model's files.
     """
 
     model: str
@@ -155,8 +152,6 @@ class ReplayRequest:
     topics: Mapping[str, str]
     options: Mapping[str, Any]
     episode: int | None = None
-    packages: Mapping[str, str] | None = None
-    roots: Sequence[str] = ()
 
 
 def replay_file(
@@ -185,8 +180,7 @@ def replay_file(
 
     asked = ReplayRequest(**request)
     options = RecordingOptions.from_json(asked.options)
-    search = SearchFolders.of(asked.roots, asked.packages)
-    loaded = load_model(Path(asked.model), search, options.base)
+    loaded = load_model(Path(asked.model), options.base)
     realization = loaded.realization
     chosen = options.over(loaded.options)
     topics = {**loaded.topics, **asked.topics}
@@ -266,14 +260,11 @@ class LoadedModel:
     patched: PatchedModel | None
 
 
-def load_model(
-    file: Path, search: SearchFolders | None = None, base: Base | None = None
-) -> LoadedModel:
+def load_model(file: Path, base: Base | None = None) -> LoadedModel:
     """Load the file found by :func:`find_model`; runs in the child process.
 
     Args:
         file: model or ``twin.yaml``.
-        search: folders that the user names for the model's files.
         base: what holds a floating base; overrides the twin.
 
     Raises:
@@ -289,7 +280,7 @@ def load_model(
         twin = load_twin(file)
         first = twin.first_realization
         name, file = first.name, first.file
-    realization = with_stale_records(load(file, twin=twin, name=name, search=search, base=base))
+    realization = with_stale_records(load(file, twin=twin, name=name, base=base))
     topics = dict(TOPICS if twin is None else twin.topics)
     options = NO_OPTIONS if twin is None else twin.recordings
     return LoadedModel(realization, topics, options, read_patched_model(realization))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.adaptation_spec import ResidualSpec, digest_of
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP
 from pytest_twin.commands.release_folder import release_folder
@@ -63,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="if the candidate is better, write the record that a release requires into its "
         "folder: shadow/ID.json",
     )
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

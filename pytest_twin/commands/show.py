@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import TOPICS
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
@@ -66,7 +65,6 @@ def run(args: argparse.Namespace) -> int:
                 "topics": args.topics,
                 "options": recording_options(args),
                 "model": None if args.model is None else str(find_model(args.model)),
-                **model_files.search_folders(args),
             },
         )
     json_output.give(args, found)
@@ -100,8 +98,6 @@ def show_file(
     topics: Mapping[str, str],
     options: Mapping[str, Any],
     model: str | None = None,
-    roots: Sequence[str] = (),
-    packages: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Read and summarize a recording; runs in the child process.
 
@@ -110,7 +106,6 @@ def show_file(
         topics: role -> topic, overrides the twin's topics.
         options: options for reading recordings, override the twin's options.
         model: path of the model, or None.
-        roots, packages: folders that may contain the model's files.
 
     Returns:
         The JSON document.
@@ -122,7 +117,7 @@ def show_file(
     chosen = RecordingOptions.from_json(options)
     structure, all_topics = None, {**TOPICS, **topics}
     if model is not None:
-        loaded = load_model(Path(model), SearchFolders.of(roots, packages), chosen.base)
+        loaded = load_model(Path(model), chosen.base)
         structure = loaded.realization.structure
         chosen, all_topics = chosen.over(loaded.options), {**loaded.topics, **topics}
     found = recordings_at(path, all_topics, chosen)

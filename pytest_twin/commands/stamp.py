@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.release_folder import release_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.release import stamps
@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f"{part} that all data were made with, as in {part}s: of twin.yaml (default: the "
             "one that the metadata of each MCAP file name, else none is stamped)",
         )
+    model_files.add_root(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,7 +69,11 @@ def run(args: argparse.Namespace) -> int:
             "dataset": str(args.dataset),
             **first.ids,
             "files": [
-                {"path": str(one.carrier.path), "sha256": one.stamp.data}
+                {
+                    "path": str(one.carrier.path),
+                    "sha256": one.stamp.data,
+                    "target": str(one.target) if one.target is not None else None,
+                }
                 for one in found
                 if one.stamp is not None
             ],

@@ -32,7 +32,6 @@ from pytest_twin.formats.file_names import portable_names
 from pytest_twin.identification.regressor.base_parameters import BaseParameters, structural_base
 from pytest_twin.identification.regressor.regressor import Regressor
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.loading import load
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.record_inputs import with_stale_records
@@ -67,15 +66,13 @@ class Excitation:
     solver: str
 
 
-def missing_template(
-    model: str, packages: Mapping[str, str] | None = None, roots: Sequence[str] = ()
-) -> dict[str, Any]:
+def missing_template(model: str) -> dict[str, Any]:
     """Return the missing lines of a twin as YAML to fill in; empty if none is missing.
 
     Args:
         model: MJCF, URDF or ``twin.yaml``.
     """
-    realization, twin = _load(Path(model), SearchFolders.of(roots, packages))
+    realization, twin = _load(Path(model))
     section = {} if twin is None else twin.excitation or {}
     missing = missing_lines(section, movable_joints(realization))
     if not missing:
@@ -91,8 +88,6 @@ def excite_file(
     out: str,
     seed: int,
     solver: str = "scipy",
-    packages: Mapping[str, str] | None = None,
-    roots: Sequence[str] = (),
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Design, check, write; runs in the child process.
@@ -102,7 +97,7 @@ def excite_file(
             ``drawn``, series over time for the page.
     """
     path = Path(model)
-    realization, twin = _load(path, SearchFolders.of(roots, packages))
+    realization, twin = _load(path)
     if twin is None:
         raise missing_error(path, missing_lines({}, movable_joints(realization)), None)
     return write_motions(excite(realization, twin, seed, solver, progress), path, Path(out))
@@ -167,12 +162,12 @@ def excite(
     )  # fmt: skip
 
 
-def _load(path: Path, search: SearchFolders | None) -> tuple[Realization, Twin | None]:
+def _load(path: Path) -> tuple[Realization, Twin | None]:
     if path.suffix.lower() not in (".yaml", ".yml"):
-        return load(path, search=search), None
+        return load(path), None
     twin = load_twin(path)
     first = twin.first_realization
-    realization = load(first.file, twin=twin, name=first.name, search=search)
+    realization = load(first.file, twin=twin, name=first.name)
     return with_stale_records(realization), twin
 
 

@@ -27,7 +27,7 @@ def file_sha256(path: Path) -> str:
     """
     digest = hashlib.sha256()
     total = 0
-    with open_regular(path) as stream:
+    with open_regular(path, pointers=True) as stream:
         try:
             while block := stream.read(_BLOCK_BYTES):
                 total += len(block)

@@ -5,13 +5,19 @@ from __future__ import annotations
 import os
 import re
 import stat
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from pytest_twin.errors import FormatError, LimitError, PathError
+from pytest_twin.errors import FormatError, LimitError, PathError, PointerError
 from pytest_twin.formats import limits
+from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.links import allowed_end
 
+_POINTER, _POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 1024
+"""Beginning of a Git LFS pointer, and the size below which each is
+(https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md)."""
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
 
 
@@ -34,12 +40,13 @@ class Roots:
 
     @property
     def folders(self) -> tuple[Path, ...]:
-        """Return all roots with links resolved, the base first."""
-        return (self.base, *self.extra)
+        """Return all roots with links resolved, the base first, those of the command line last."""
+        named = declared_folders()
+        return (self.base, *self.extra, *named.roots, *named.packages.values())
 
     def contains(self, path: Path) -> bool:
         """Whether ``path`` is inside a root after every link is resolved."""
-        return self._holds(os.path.realpath(path))
+        return _holds(self.folders, os.path.realpath(path))
 
     def resolve(
         self,
@@ -61,8 +68,9 @@ class Roots:
 
         Raises:
             PathError: the reference is empty, too long, contains a NUL or control character, is a
-                URL, leaves the roots at any component (by ``..``, absolute, or through a link),
-                does not exist, or is not a regular file (a pipe, a socket, a device).
+                URL, leaves the roots at any component (by ``..``, absolute, or through a link that
+                does not end in the same store), does not exist, or is not a regular file (a pipe, a
+                socket, a device).
         """
 
         def refuse(problem: str, expected: str) -> PathError:
@@ -73,6 +81,7 @@ class Roots:
         self._check_words(reference, refuse)
         wanted = "folder" if folder else "file"
         current = "/" if reference.startswith("/") else os.path.realpath(at.parent)
+        folders = self.folders
         # Component by component, so that a link out of the roots and back in is refused too.
         for part in reference.split("/"):
             if part in ("", "."):
@@ -81,7 +90,7 @@ class Roots:
             try:
                 following = os.path.realpath(step, strict=True)
             except FileNotFoundError:
-                if not self._leads_to_root(current, os.path.realpath(step)):
+                if not _leads_to_root(folders, current, os.path.realpath(step)):
                     raise refuse(*self._outside(reference, at, folder)) from None
                 raise refuse(
                     f"no such {wanted}",
@@ -92,10 +101,13 @@ class Roots:
                 raise refuse(
                     f"cannot be reached: {reason}", f"a {wanted} in folders that you may read"
                 ) from None
-            if not self._leads_to_root(current, following, by_link=part != ".."):
-                raise refuse(*self._outside(reference, at, folder))
+            if not _leads_to_root(folders, current, following, by_link=part != ".."):
+                end = allowed_end(Path(step), Path(following)) if part != ".." else None
+                if end is None:
+                    raise refuse(*self._outside(reference, at, folder))
+                folders = (*folders, end)
             current = following
-        if not self._holds(current):
+        if not _holds(folders, current):
             raise refuse(*self._outside(reference, at, folder))
         found = Path(current)
         mode = found.stat().st_mode
@@ -138,34 +150,63 @@ class Roots:
         if _SCHEME.match(reference):
             raise refuse("a URL, not a path", "a path to a file or folder of this machine")
 
-    def _leads_to_root(self, current: str, following: str, *, by_link: bool = True) -> bool:
-        """Whether a path component stays in the roots, or in a parent folder of a root.
 
-        From inside a root, only ``..`` may lead to a parent; any other component that does is a
-        link.
-        """
-        if self._holds(following):
-            return True
-        if by_link and self._holds(current):
-            return False
-        above = following.rstrip("/") + "/"
-        return any(str(root).startswith(above) for root in self.folders)
+def _leads_to_root(
+    folders: Sequence[Path], current: str, following: str, *, by_link: bool = True
+) -> bool:
+    """Whether a path component stays in the roots, or in a parent folder of a root.
 
-    def _holds(self, real: str) -> bool:
-        return any(
-            real == str(root) or real.startswith(str(root).rstrip("/") + "/")
-            for root in self.folders
-        )
+    From inside a root, only ``..`` may lead to a parent; any other component that does is a link.
+    """
+    if _holds(folders, following):
+        return True
+    if by_link and _holds(folders, current):
+        return False
+    above = following.rstrip("/") + "/"
+    return any(str(root).startswith(above) for root in folders)
 
 
-def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading; the last component may not be a link.
+def _holds(folders: Sequence[Path], real: str) -> bool:
+    return any(
+        real == str(root) or real.startswith(str(root).rstrip("/") + "/") for root in folders
+    )
+
+
+def follow(path: Path) -> Path:
+    """Return the file or folder at a path, behind links that may be followed.
 
     Raises:
-        PathError: missing, unreadable, a link, or anything but a regular file.
+        PathError: a link that neither ends in the same store nor where the user allows it.
     """
+    link = Path(os.path.realpath(path.parent)) / path.name
+    if not link.is_symlink():
+        return path
+    target = Path(os.path.realpath(link))
+    if target.is_relative_to(link.parent) or allowed_end(link, target) is not None:
+        return target
+    raise PathError(
+        "is a link to another folder",
+        path=path,
+        value=target,
+        expected=f"the file itself; to allow the folder behind the link: --root {target.parent}",
+    )
+
+
+def open_regular(path: Path, *, links: bool = True, pointers: bool = False) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Args:
+        path: the file.
+        links: whether it may be a link that :func:`follow` allows.
+        pointers: whether it may be a pointer of Git LFS, which stands for content elsewhere.
+
+    Raises:
+        PathError: missing, unreadable, another link, or anything but a regular file.
+        PointerError: a pointer of Git LFS.
+    """
+    file = follow(path) if links else path
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+        descriptor = os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
         raise PathError(
             "no such file", path=path, expected="a file that exists; check the path"
@@ -175,23 +216,41 @@ def open_regular(path: Path) -> BinaryIO:
             raise PathError("is a symbolic link", path=path, expected="the file itself") from None
         reason = getattr(error, "strerror", None) or str(error)
         raise PathError(f"cannot be read: {reason}", path=path) from None
-    mode = os.fstat(descriptor).st_mode
-    if not stat.S_ISREG(mode):
+    facts = os.fstat(descriptor)
+    if not stat.S_ISREG(facts.st_mode):
         os.close(descriptor)
         raise PathError(
-            f"not a regular file but {_kind(mode)}", path=path, expected="a path to a regular file"
+            f"not a regular file but {_kind(facts.st_mode)}",
+            path=path,
+            expected="a path to a regular file",
+        )
+    if not pointers and _is_pointer(descriptor, facts.st_size):
+        os.close(descriptor)
+        raise PointerError(
+            "is a Git LFS pointer, not the file itself",
+            path=path,
+            expected="the file's content: run git lfs pull in the checkout it comes from",
         )
     return os.fdopen(descriptor, "rb")
 
 
-def read_bytes(path: Path, max_bytes: int) -> bytes:
+def _is_pointer(descriptor: int, size: int) -> bool:
+    return size < _POINTER_BYTES and os.pread(descriptor, len(_POINTER), 0) == _POINTER
+
+
+def read_bytes(path: Path, max_bytes: int, *, links: bool = True) -> bytes:
     """Return the content of a regular file of at most ``max_bytes``.
+
+    Args:
+        path: the file.
+        max_bytes: largest size.
+        links: as for :func:`open_regular`.
 
     Raises:
         PathError: as :func:`open_regular`.
         LimitError: the file is larger, or grows beyond the limit while it is read.
     """
-    with open_regular(path) as stream:
+    with open_regular(path, links=links) as stream:
         try:
             size = os.fstat(stream.fileno()).st_size
             data = stream.read(max_bytes + 1) if size <= max_bytes else b""

@@ -32,7 +32,6 @@ from pytest_twin.identification.sensing.identify import identify_sensors
 from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.realization import Realization, load
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.record_inputs import basis_json, states_of_records, unfitted
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
 from pytest_twin.records.basis import Uses
@@ -54,7 +53,6 @@ class IdentificationRequest:
         name: id of the record.
         topics: role of a topic -> topic; these take precedence over those of the twin.
         options: settings for reading recordings; they take precedence over the twin's.
-        packages, roots: folders of the model's files.
         tosses: fields of ``TossOptions``, for recordings of a free object.
         sensors: fields of ``NamedSensor``; if there are any, only sensors are estimated.
     """
@@ -66,8 +64,6 @@ class IdentificationRequest:
     name: str
     topics: Mapping[str, str] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
-    packages: Mapping[str, str] | None = None
-    roots: Sequence[str] = ()
     tosses: Mapping[str, Any] | None = None
     sensors: Sequence[Mapping[str, str]] = ()
     folder: str = ""
@@ -93,8 +89,7 @@ def identify_files(
     model, out, name, topics = asked.model, asked.out, asked.name, asked.topics
     recordings, held_out, sensors = asked.recordings, asked.held_out, asked.sensors
     options = RecordingOptions.from_json(asked.options)
-    search = SearchFolders.of(asked.roots, asked.packages)
-    realization, notes = _load(Path(model), name, search, options.base)
+    realization, notes = _load(Path(model), name, options.base)
     twin = realization.twin
     if twin is not None:
         notes += stale_lines(states_of_records(twin), twin)
@@ -306,9 +301,7 @@ def _from_commands(
     return document
 
 
-def _load(
-    path: Path, ident: str, search: SearchFolders, base: Base | None
-) -> tuple[Realization, list[str]]:
+def _load(path: Path, ident: str, base: Base | None) -> tuple[Realization, list[str]]:
     """Load the model with its twin, without shapes if meshes of a URDF are missing.
 
     An earlier record of the same id is left out: the record is made afresh from the same inputs.
@@ -319,9 +312,7 @@ def _load(
         twin = load_twin(path).before_fit(ident)
         first = twin.first_realization
         name, path = first.name, first.file
-    as_declared = partial(
-        load, path, twin=twin, name=name, search=search, accept_invalid_inertia=True, base=base
-    )
+    as_declared = partial(load, path, twin=twin, name=name, accept_invalid_inertia=True, base=base)
     try:
         return as_declared(), []
     except PathError as error:

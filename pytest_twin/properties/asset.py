@@ -162,13 +162,14 @@ def _of_urdf(
     accept: list[str],
 ) -> Asset:
     from pytest_twin.asset.normalize import normalize
+    from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
     from pytest_twin.realization.files.locate import locate
-    from pytest_twin.realization.files.search import SearchFolders
     from pytest_twin.realization.usd import UsdMissingError
 
     left_out: list[str] = []
     with temporary_folder() as folder:
-        located = locate(path, search=SearchFolders(packages=packages))
+        with declaring(DeclaredFolders(packages=packages)):
+            located = locate(path)
         made = normalize(path, folder, located=located, accept=accept)
         for flag in made.flags:
             if flag.patch and flag.critical:

@@ -13,7 +13,6 @@ from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import mjcf, patch, urdf, urdf_spec
 from pytest_twin.realization.files.locate import ModelFolders, locate
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.fixed_base import fix_base
 from pytest_twin.realization.limits import LIMITS, ModelLimits
@@ -32,7 +31,6 @@ def load(  # noqa: PLR0913
     twin: Twin | None = None,
     name: str = "mujoco",
     roots: Roots | None = None,
-    search: SearchFolders | None = None,
     located: ModelFolders | None = None,
     accept_invalid_inertia: bool = False,
     shapes: bool = True,
@@ -49,7 +47,6 @@ def load(  # noqa: PLR0913
         name: name of the realization.
         roots: folders that referenced files may be in; by default those of the twin, or the root
             of the model that :func:`pytest_twin.realization.files.locate` chooses.
-        search: further folders from the user.
         located: result of :func:`pytest_twin.realization.files.locate`, if it is known.
         accept_invalid_inertia: URDF: whether to repair inertias that are not physically consistent
             and add a note, instead of raising an error; ``source.inertia_repairs`` then has them.
@@ -86,7 +83,7 @@ def load(  # noqa: PLR0913
     if text is not None and twin is None:
         # The root cannot be chosen from the referenced files: only the package can read them.
         roots = roots or Roots(path.parent)
-    located = located or locate(path, search=search, twin=twin, roots=roots, limits=limits)
+    located = located or locate(path, twin=twin, roots=roots, limits=limits)
     if tag == "mujoco":
         document = mjcf.read(path, located.roots, text=text, limits=limits)
         source = Source(

@@ -23,6 +23,7 @@ from typing import Any, Self
 
 from pytest_twin import errors
 from pytest_twin.errors import LimitError, SimulationError, TwinError
+from pytest_twin.formats.declared_folders import declared_folders
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.confinement import confined_command, confined_environment
 from pytest_twin.realization.import_path import import_path
@@ -120,6 +121,7 @@ class Sandbox:
                 "function": function,
                 "arguments": dict(arguments or {}),
                 "seconds": bound,
+                "declared": declared_folders().to_json(),
             }
             try:
                 answer = self._exchange(self._child, request, bound, progress, tell)

@@ -23,6 +23,7 @@ from pytest_twin.errors import (
     TwinError,
     cannot_write,
 )
+from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
 
 
 def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
@@ -61,7 +62,8 @@ def _send(answers: BinaryIO, answer: Mapping[str, Any]) -> None:
 def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
     _bound_cpu(request["seconds"])
     try:
-        result = _call(request["function"], request["arguments"], answers)
+        with declaring(DeclaredFolders.of(request["declared"])):
+            result = _call(request["function"], request["arguments"], answers)
         json.dumps(result)
         return {"result": result}
     except TwinError as error:

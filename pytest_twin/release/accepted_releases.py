@@ -30,7 +30,7 @@ def highest(series: str) -> int | None:
     if not path.exists():
         return None
     try:
-        number = json.loads(read_bytes(path, _MAX_BYTES))["number"]
+        number = json.loads(read_bytes(path, _MAX_BYTES, links=False))["number"]
     except (ValueError, KeyError, TypeError):
         number = None
     if type(number) is not int:
@@ -70,7 +70,7 @@ def twin_of(series: str) -> Path | None:
     """Recorded folder of the twin of a series; None without a record or if it does not exist."""
     path = _twin_path(series)
     try:
-        root = Path(json.loads(read_bytes(path, _MAX_BYTES))["root"])
+        root = Path(json.loads(read_bytes(path, _MAX_BYTES, links=False))["root"])
     except (TwinError, ValueError, KeyError, TypeError):
         return None
     return root if root.is_dir() else None

@@ -63,7 +63,7 @@ def read_envelope(folder: Path, limits: ReleaseLimits = LIMITS) -> bytes | None:
     path = folder / ENVELOPE
     if not path.is_symlink() and not path.exists():
         return None
-    return read_bytes(path, limits.envelope_bytes)
+    return read_bytes(path, limits.envelope_bytes, links=False)
 
 
 def listing(folder: Path, limits: ReleaseLimits = LIMITS) -> dict[str, FolderEntry]:
@@ -103,7 +103,7 @@ def digest(path: Path) -> tuple[str, int, int]:
         PathError: it does not exist, cannot be read, is a link, or is not a regular file.
     """
     hashed, size = hashlib.sha256(), 0
-    with open_regular(path) as stream:
+    with open_regular(path, links=False) as stream:
         while block := stream.read(_BLOCK_BYTES):
             hashed.update(block)
             size += len(block)
@@ -124,7 +124,7 @@ def _entry(path: Path, limits: ReleaseLimits) -> FolderEntry:
     sha256, size, links = digest(path)
     with_lf = ""
     if size <= _TEXT_BYTES:
-        data = read_bytes(path, _TEXT_BYTES)
+        data = read_bytes(path, _TEXT_BYTES, links=False)
         if b"\r\n" in data:
             with_lf = bytes_sha256(data.replace(b"\r\n", b"\n"))
     return FolderEntry("file", sha256, size, links, with_lf)

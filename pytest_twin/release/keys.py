@@ -57,7 +57,7 @@ def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
     found: dict[str, Key] = {}
     for path in paths:
         try:
-            public = load_pem_public_key(read_bytes(path, limits.key_bytes))
+            public = load_pem_public_key(read_bytes(path, limits.key_bytes, links=False))
         except (ValueError, UnsupportedAlgorithm):
             public = None
         if not isinstance(public, Ed25519PublicKey):

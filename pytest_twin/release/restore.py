@@ -43,7 +43,10 @@ def copy_files(release: Release, folder: Path, into: Path) -> None:
             )  # fmt: skip
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            with open_regular(folder / entry.name) as source, target.open("wb") as sink:
+            with (
+                open_regular(folder / entry.name, links=False) as source,
+                target.open("wb") as sink,
+            ):
                 shutil.copyfileobj(source, sink)
         except OSError as error:
             raise PathError(f"cannot be copied: {error.strerror}", path=target) from None

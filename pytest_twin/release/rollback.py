@@ -204,5 +204,5 @@ def _changes(root: Path, release: Release) -> tuple[FileChange, ...]:
 
 def _copy(source: Path, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
-    with open_regular(source) as stream, target.open("wb") as sink:
+    with open_regular(source, links=False) as stream, target.open("wb") as sink:
         shutil.copyfileobj(stream, sink)

@@ -33,12 +33,14 @@ class StampedFile:
         problem: why the stamp cannot be read.
         undeclared: ``controller`` and ``payload`` that the file's own metadata name and the release
             does not declare, so that the stamp cannot name them.
+        target: file behind the link that the file was when it was stamped, else None.
     """
 
     carrier: Carrier
     stamp: Stamp | None
     problem: str = ""
     undeclared: Mapping[str, str] = field(default_factory=dict)
+    target: Path | None = None
 
 
 def put(
@@ -84,7 +86,9 @@ def put(
             for part, name in given.items()
         }
         made = stamp.make(released, envelope, carrier.digest(), now, used)
-        found.append(StampedFile(carrier, made, undeclared=undeclared))
+        path = carrier.path
+        target = path.resolve() if path.is_symlink() else None
+        found.append(StampedFile(carrier, made, undeclared=undeclared, target=target))
     for one in found:
         assert one.stamp is not None
         one.carrier.write(one.stamp.to_text())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,27 +14,21 @@ from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.proposals import Actuation, fixed_base
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import Realization, load
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.twin import load_twin
 
 _TOOL = re.compile(r"(^|_)(tcp|tool0?|ee|ee_link|end_effector|gripper_?frame)$", re.IGNORECASE)
 
 
-def inspect_model(
-    model: str, packages: Mapping[str, str] | None = None, roots: Sequence[str] = ()
-) -> dict[str, Any]:
+def inspect_model(model: str) -> dict[str, Any]:
     """Inspect a model: files, repaired inertias, notes, critical findings, tool frame, motors.
 
     Args:
         model: path of the model file.
-        packages: ROS package -> its folder, from the user.
-        roots: further folders for the model's files, from the user.
 
     Raises:
         TwinError: the model cannot be loaded.
     """
-    search = SearchFolders.of(roots, packages)
-    realization = load(Path(model), accept_invalid_inertia=True, search=search)
+    realization = load(Path(model), accept_invalid_inertia=True)
     source = realization.source
     located = source.located
     assert located is not None

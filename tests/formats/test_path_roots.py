@@ -166,14 +166,6 @@ def test_read_bytes_limits_files_that_report_size_zero() -> None:
         read_bytes(Path("/proc/self/status"), 10)
 
 
-def test_opening_a_symbolic_link_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "a").write_text("a")
-    (tmp_path / "b").symlink_to("a")
-    for read in (open_regular, file_sha256):
-        with pytest.raises(PathError, match="is a symbolic link"):
-            read(tmp_path / "b")
-
-
 def test_file_sha256_equals_the_published_test_vector(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"abc")
     # FIPS 180-2, appendix B.1

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_twin.errors import FormatError, LimitError, PathError
+from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import xml
 
 PATH = Path("robot.urdf")
@@ -93,10 +93,3 @@ def test_a_too_large_xml_file_is_refused_before_reading(tmp_path: Path) -> None:
         stream.truncate(2**40)
     with pytest.raises(LimitError, match="file is too large"):
         xml.parse(path)
-
-
-def test_a_symbolic_link_to_an_xml_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "real.urdf").write_text("<r/>")
-    (tmp_path / "robot.urdf").symlink_to("real.urdf")
-    with pytest.raises(PathError, match="is a symbolic link"):
-        xml.parse(tmp_path / "robot.urdf")

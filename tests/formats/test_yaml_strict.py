@@ -12,7 +12,7 @@ import yaml as pyyaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_twin.errors import FormatError, LimitError, PathError
+from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import yaml
 
 PATH = Path("twin.yaml")
@@ -149,13 +149,6 @@ def test_yaml_with_byte_order_mark_and_crlf_is_read(tmp_path: Path) -> None:
     path = tmp_path / "twin.yaml"
     path.write_bytes(b"\xef\xbb\xbfa: 1\r\nb: x\r\n")
     assert yaml.load(path).data == {"a": 1, "b": "x"}
-
-
-def test_a_symbolic_link_to_a_yaml_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "real.yaml").write_text("a: 1\n")
-    (tmp_path / "twin.yaml").symlink_to("real.yaml")
-    with pytest.raises(PathError, match="is a symbolic link"):
-        yaml.load(tmp_path / "twin.yaml")
 
 
 _TEXT = st.text(st.sampled_from(string.printable + "éß→𝄞\x85\u2028\ufeff"), max_size=12)

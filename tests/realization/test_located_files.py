@@ -8,11 +8,11 @@ import pytest
 from test_mjcf_loading import binary_stl
 
 from pytest_twin.errors import PathError, TwinError
+from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import load
 from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.packages import Packages
-from pytest_twin.realization.files.search import SearchFolders
 
 URDF = """<robot name="arm">
 {head}
@@ -43,8 +43,8 @@ def stl(path: Path) -> Path:
 
 
 def loaded(path: Path, **named: object) -> ModelFolders:
-    search = SearchFolders(**named)  # type: ignore[arg-type]
-    realization = load(path, search=search)
+    with declaring(DeclaredFolders(**named)):  # type: ignore[arg-type]
+        realization = load(path)
     assert realization.model.nmesh == 1
     located = realization.source.located
     assert located is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,12 @@ from pytest_twin.audit.srdf.document import Srdf
 from pytest_twin.audit.srdf.files import urdf_of
 from pytest_twin.errors import ModelError
 from pytest_twin.realization import urdf
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
 
 def audit_srdf(
     path: str,
     urdf_path: str | None = None,
-    packages: Mapping[str, str] | None = None,
-    roots: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Return the JSON report of an SRDF, in the same form as that of a URDF.
@@ -44,7 +41,7 @@ def audit_srdf(
             raise root.error("a URDF, not an SRDF", expected="an SRDF: a <robot> without <link>")
         name = root.attributes.get("name", "")
         robot = urdf_of(source, name) if urdf_path is None else Path(urdf_path)
-        asset = read(robot, SearchFolders.of(roots, packages))
+        asset = read(robot)
         if asset.kind != "urdf":
             raise ModelError("not a URDF", path=robot, expected="the URDF of the SRDF")
         say(0.4)

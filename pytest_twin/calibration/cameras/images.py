@@ -221,7 +221,8 @@ def read_images(
 
 def _paths(plan: Plan, observations: Observations, folder: Path | None) -> list[Path]:
     """Paths of the images; the reader reports a missing file."""
-    roots = Roots(plan.path.parent, () if folder is None else (folder,))
+    declared = () if plan.roots is None else plan.roots.extra
+    roots = Roots(plan.path.parent, (*declared, *(() if folder is None else (folder,))))
     table = plan.observations[0] if plan.observations else plan.path
     found = []
     for reference in observations.images or ():

@@ -15,6 +15,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from pytest_twin.errors import FormatError, PathError
+from pytest_twin.formats.paths import follow
 from pytest_twin.formats.recording import TOPICS, Recording
 from pytest_twin.formats.recordings.base import Reader, ReadingOptions
 from pytest_twin.installed import is_own, load_plugin, refuse_stale_installation
@@ -132,13 +133,11 @@ def reader_of(path: Path) -> Reader:
         SpecError: pytest-twin's own readers are not registered.
     """
     try:
-        mode = path.lstat().st_mode
+        mode = follow(path).lstat().st_mode
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         problem = "no such file or folder" if isinstance(error, FileNotFoundError) else reason
         raise PathError(problem, path=path, expected=KINDS) from None
-    if stat.S_ISLNK(mode):
-        raise PathError("is a symbolic link", path=path, expected="the file or folder itself")
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise PathError("neither a regular file nor a folder", path=path, expected=KINDS)
     for reader in readers():

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pytest_twin.errors import FormatError, LimitError, PathError
 from pytest_twin.formats import limits
+from pytest_twin.formats.paths import follow
 from pytest_twin.formats.stamps.base import Carrier
 from pytest_twin.formats.stamps.lerobot import LeRobotStamp
 
@@ -34,12 +35,12 @@ def carriers_of(path: Path) -> list[Carrier]:
     """Return the carriers of a data set or policy: one, or one for each file of a folder, by name.
 
     Raises:
-        PathError: missing, a link, or neither a regular file nor a folder.
+        PathError: missing, a link that may not be followed, or neither a regular file nor a folder.
         FormatError: nothing at ``path`` can store a stamp.
         LimitError: more than ``limits.STAMPS`` files.
     """
     try:
-        mode = path.lstat().st_mode
+        mode = follow(path).lstat().st_mode
     except (OSError, ValueError) as error:
         problem = "no such file or folder" if isinstance(error, FileNotFoundError) else str(error)
         raise PathError(problem, path=path, expected=KINDS) from None
@@ -58,7 +59,7 @@ def carriers_of(path: Path) -> list[Carrier]:
         return [LeRobotStamp(path)]
     found: list[Carrier] = []
     for file in sorted(path.rglob("*")):
-        if file.is_file() and not file.is_symlink() and (carrier := _carrier(file)) is not None:
+        if follow(file).is_file() and (carrier := _carrier(file)) is not None:
             found.append(carrier)
         if len(found) > limits.STAMPS.files_count:
             raise LimitError(

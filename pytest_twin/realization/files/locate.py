@@ -11,11 +11,11 @@ from typing import Any
 
 from pytest_twin.errors import PathError
 from pytest_twin.formats import xml
+from pytest_twin.formats.declared_folders import declared_folders
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import mjcf
 from pytest_twin.realization.files.packages import BY_NAME_ABOVE, Packages
 from pytest_twin.realization.files.root import Folder, ModelRoot, choose, inside
-from pytest_twin.realization.files.search import SearchFolders
 from pytest_twin.realization.files.surroundings import folders_above
 from pytest_twin.realization.files.urdf import MujocoFolders, UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
@@ -60,7 +60,6 @@ class ModelFolders:
 def locate(
     path: Path,
     *,
-    search: SearchFolders | None = None,
     twin: Twin | None = None,
     roots: Roots | None = None,
     limits: ModelLimits = LIMITS,
@@ -69,7 +68,6 @@ def locate(
 
     Args:
         path: the model's file, in a folder without symbolic links.
-        search: folders from the user.
         twin: the twin; its roots are used, and none is chosen.
         roots: roots that are used instead of a chosen one.
         limits: size limits.
@@ -78,15 +76,14 @@ def locate(
         FormatError: the file is not well-formed XML.
         LimitError: the file is larger than a limit.
     """
-    search = search or SearchFolders()
+    search = declared_folders()
     declared = {} if twin is None else twin.roots
     if twin is not None and roots is None:
         roots = twin.path_roots
     if roots is not None:
-        within = Roots(roots.base, (*roots.extra, *search.roots, *search.packages.values()))
-        above = [folder for folder in path.parents if within.contains(folder)]
-        others = [folder for folder in within.folders if folder not in above]
-        return ModelFolders(within, Packages(above, others, search.packages, declared))
+        above = [folder for folder in path.parents if roots.contains(folder)]
+        others = [folder for folder in roots.folders if folder not in above]
+        return ModelFolders(roots, Packages(above, others, search.packages, declared))
     surroundings = folders_above(path)
     allowed = [folder.path for folder in inside(surroundings)]
     packages = Packages(allowed, search.roots, search.packages)
@@ -96,7 +93,7 @@ def locate(
         for package in packages.found.values()
         if not package.folder.is_relative_to(root.folder)
     ]
-    extra = (root.folder, *search.roots, *search.packages.values(), *beside)
+    extra = (root.folder, *beside)
     return ModelFolders(Roots(path.parent, tuple(dict.fromkeys(extra))), packages, root)
 
 
@@ -118,7 +115,7 @@ def _choose(
             with suppress(PathError, OSError, ValueError):
                 named.add(files.path_of(reference, path))
     elif element.tag == "mujoco":
-        named = mjcf.named_files(path, Roots(outermost, tuple(others)), limits=limits)
+        named = mjcf.named_files(path, Roots(outermost), limits=limits)
     found = packages.found.values()
     by_name = {package.folder for package in found if package.by == BY_NAME_ABOVE}
     elsewhere = [package.folder for package in found if not path.is_relative_to(package.folder)]
