@@ -94,7 +94,7 @@ DISK_ERRORS = frozenset({errno.ENOSPC, errno.EROFS, errno.EDQUOT})
 def of_system(error: OSError) -> PathError:
     """Error for a refusal of the operating system, with its own words and the file."""
     # A copy that fails names its target second.
-    return PathError(error.strerror or str(error), path=error.filename2 or error.filename)
+    return PathError(f"{error.strerror or error}", path=error.filename2 or error.filename)
 
 
 def cannot_write(error: OSError, path: Path | str | None = None) -> PathError:

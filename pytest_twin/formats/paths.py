@@ -198,7 +198,7 @@ def open_regular(path: Path, *, links: bool = True, pointers: bool = False) -> B
     Args:
         path: the file.
         links: whether it may be a link that :func:`follow` allows.
-        pointers: whether it may be a pointer of Git LFS, which stands for content elsewhere.
+        pointers: whether it may be a pointer of Git LFS, whose content is elsewhere.
 
     Raises:
         PathError: missing, unreadable, another link, or anything but a regular file.

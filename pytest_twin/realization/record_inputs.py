@@ -154,7 +154,7 @@ def refuse_stale_records(twin: Twin) -> None:
     """
     for state in states_of_records(twin):
         if state.touching and state.kind not in ("randomize", "budget"):
-            raise state.error(twin)
+            raise state.as_error(twin)
 
 
 def states_of_records(twin: Twin) -> tuple[RecordState, ...]:

@@ -125,7 +125,7 @@ class RecordState:
             for reason in change.reasons
         )
 
-    def error(self, twin: Twin) -> SpecError:
+    def as_error(self, twin: Twin) -> SpecError:
         """The error of a stale record, with the ways out."""
         touching = self.touching
         named = [_in_words(change) for change in touching[:_MAX_NAMED]]
@@ -445,7 +445,7 @@ def is_source_part(ident: str) -> bool:
 
 def stale_lines(states: Sequence[RecordState], twin: Twin) -> tuple[str, ...]:
     """Return one line for each stale record."""
-    return tuple(str(state.error(twin)) for state in states if state.touching)
+    return tuple(str(state.as_error(twin)) for state in states if state.touching)
 
 
 def with_reasons_of_records(

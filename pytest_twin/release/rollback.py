@@ -194,7 +194,9 @@ def _changes(root: Path, release: Release) -> tuple[FileChange, ...]:
         if place is None:
             continue
         if not file_set.is_plain(place):
-            raise PathError("a file outside the twin", path=root, value=place)
+            raise PathError(
+                "a file outside the twin", path=root, value=place, expected="files inside the twin"
+            )
         file_set.check_folders(root, place)
         digest = file_set.digest_of(root / place)
         if digest != entry.sha256:

@@ -269,7 +269,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a kind that nobody installed",
         lambda root: check_of("weld"),
-        "kind: unknown kind (got 'weld'; expected calibration, collision_distance, contact, "
+        "kind: unknown kind (got 'weld'; expected asset, calibration, collision_distance, contact, "
         "fk, frequency_response, identification, joint_direction, limits, mass_properties, "
         "replay, sensor_timing, settling, step, task, tcp_accuracy)",
     ),

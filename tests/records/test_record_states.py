@@ -128,7 +128,7 @@ def test_the_owner_accepts_one_change_and_not_the_next(cell: Path) -> None:
     edit(cell / "arm.xml", 'mass="0.6"', 'mass="0.642"')
     twin = load_twin(cell / "twin.yaml")
     state = states(cell)["identified"]
-    line = str(state.error(twin))
+    line = str(state.as_error(twin))
     (change,) = state.touching
     assert line == (
         f"{cell}/twin.yaml:13: fit.1: record 'identified' is stale: its inputs changed: "

@@ -112,7 +112,7 @@ def test_a_model_that_a_diagnosis_wrote_is_stale_after_a_change_of_its_source(ce
     structure = load(cell / "diagnosis/realization/model.xml").structure
     assert state.overridden(structure) == structure.part_ids
     assert f"{cell}/twin.yaml:2: model: record 'diagnosis/diagnosis.json' is stale" in str(
-        state.error(load_twin(cell / "twin.yaml"))
+        state.as_error(load_twin(cell / "twin.yaml"))
     )
 
 

@@ -66,7 +66,9 @@ def csv_bytes(path: Path) -> bytes:
                 block = member.decompress(data, _BLOCK_BYTES)
                 data = member.unconsumed_tail
                 if not block and not data and not member.eof:
-                    raise FormatError("ends inside the compressed data", path=path)
+                    raise FormatError(
+                        "ends inside the compressed data", path=path, expected="a whole gzip file"
+                    )
                 size += len(block)
                 if size > allowed:
                     raise LimitError(
