@@ -175,7 +175,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "an unknown kind",
         golden("kind: fk", "kind: fkk"),
-        "ARM/golden/home.yaml:2: kind: unknown kind (got 'fkk'; expected calibration, "
+        "ARM/golden/home.yaml:2: kind: unknown kind (got 'fkk'; expected asset, calibration, "
         "collision_distance, contact, fk, frequency_response, identification, joint_direction, "
         "limits, mass_properties, replay, sensor_timing, settling, step, task, tcp_accuracy)",
     ),
