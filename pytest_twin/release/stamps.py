@@ -9,7 +9,7 @@ from pathlib import Path
 
 from securesystemslib.signer import Key
 
-from pytest_twin.errors import ReleaseError, TwinError
+from pytest_twin.errors import PathError, ReleaseError, TwinError
 from pytest_twin.formats.stamps import Carrier
 from pytest_twin.formats.stamps.mcap import McapStamp
 from pytest_twin.release import accepted_releases, stamp
@@ -33,7 +33,7 @@ class StampedFile:
         problem: why the stamp cannot be read.
         undeclared: ``controller`` and ``payload`` that the file's own metadata name and the release
             does not declare, so that the stamp cannot name them.
-        target: file behind the link that the file was when it was stamped, else None.
+        target: folder behind the link that the data set was when it was stamped, else None.
     """
 
     carrier: Carrier
@@ -65,6 +65,7 @@ def put(
     Raises:
         ReleaseError: the release is not authentic, is damaged, states no digests, or lacks the
             payload or controller; or a recording names another one.
+        PathError: a file is a link.
         TwinError: a file that cannot contain a stamp, is damaged, or cannot be written.
     """
     now = now or datetime.now(UTC)
@@ -75,6 +76,14 @@ def put(
     given = {"payload": payload, "controller": controller}
     found = []
     for carrier in carriers_in_child(dataset, writable=True):
+        if carrier.path.is_symlink() and carrier.path.is_file():
+            raise PathError(
+                "is a link into a store, whose files must not change",
+                path=carrier.path,
+                value=carrier.path.resolve(),
+                expected="a copy of the file in its place (git annex unlock FILE, dvc unprotect "
+                "FILE), which is then stamped",
+            )
         recorded = _recorded_variants(carrier, given)
         undeclared = {
             part: name

@@ -126,6 +126,28 @@ def test_a_calibration_with_errors_above_the_accepted_ones_is_rejected(
     assert found == json.loads(Path("out/calibration.json").read_text())
 
 
+@pytest.mark.parametrize("way", ["roots", "option"])
+def test_a_plan_may_name_files_in_folders_that_are_declared(
+    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, shared = tmp_path / "plan", tmp_path / "shared"
+    plan.mkdir()
+    shared.mkdir()
+    write_cell(plan)
+    (plan / "fr3.urdf").rename(shared / "fr3.urdf")
+    monkeypatch.chdir(plan)
+    text = Path("calibration.yaml").read_text().replace("fr3.urdf", "../shared/fr3.urdf")
+    Path("calibration.yaml").write_text(text)
+    command = ["calibrate", "calibration.yaml", "--out", "out"]
+    assert cli.main(command) == 2
+    assert f"--root {shared} on the command line" in capsys.readouterr().err
+    if way == "roots":
+        Path("calibration.yaml").write_text(text + "roots: [../shared]\n")
+    else:
+        command += ["--root", "../shared"]
+    assert cli.main(command) == 0
+
+
 def test_a_missing_joint_column_is_refused_with_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -167,6 +168,20 @@ def test_a_data_file_linked_from_outside_the_folder_is_refused(tmp_path: Path) -
     file.symlink_to(tmp_path / "elsewhere.parquet")
     with pytest.raises(PathError, match="path leaves the declared roots"):
         read_recordings(folder)
+
+
+def test_a_data_set_in_the_hugging_face_cache_is_read_through_its_links(tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / "set", EPISODES)
+    blobs, snapshot = tmp_path / "hub/blobs", tmp_path / "hub/snapshots/0123abcd"
+    blobs.mkdir(parents=True)
+    for number, file in enumerate(sorted(p for p in folder.rglob("*") if p.is_file())):
+        link = snapshot / file.relative_to(folder)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        file.rename(blobs / f"{number:04x}")
+        link.symlink_to(os.path.relpath(blobs / f"{number:04x}", link.parent))
+    found = read_recordings(snapshot)
+    assert len(found) == len(EPISODES)
+    assert found[1].series["state"].position is not None
 
 
 def test_a_parquet_file_with_too_much_unpacked_data_is_refused(

@@ -141,6 +141,43 @@ def test_a_stamp_is_valid_until_the_data_change(
     assert problem["text"].startswith("the data have changed since they were stamped")
 
 
+def test_a_file_in_a_store_is_not_stamped_and_its_stamp_is_read_through_the_link(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = tmp_path / "data/.git/annex/objects/aa/key"
+    content.parent.mkdir(parents=True)
+    path = write("mcap", tmp_path)
+    stamped(path, twin_with_two_releases)
+    shutil.move(path, content)
+    link = tmp_path / "data/move.mcap"
+    link.symlink_to(".git/annex/objects/aa/key")
+    assert cli.main(["verify", str(link)]) == 0
+    stamped(link, twin_with_two_releases, status=2)
+    assert "is a link into a store, whose files must not change" in capsys.readouterr().err
+    tamper("mcap", content)
+    assert cli.main(["verify", str(link)]) == 1
+
+
+def test_the_stamp_of_a_linked_data_set_names_the_folder_behind_the_link(
+    twin_with_two_releases: Path, tmp_path: Path
+) -> None:
+    data = write("lerobot", tmp_path / "store")
+    (tmp_path / "current").symlink_to(data)
+    (file,) = stamped(tmp_path / "current", twin_with_two_releases)["files"]
+    assert file["target"] == str(data)
+    assert cli.main(["verify", str(tmp_path / "current")]) == 0
+
+
+def test_a_link_out_of_a_data_set_is_not_passed_over(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "data").mkdir()
+    write("mcap", tmp_path / "data")
+    (tmp_path / "data/other.mcap").symlink_to(write("mcap", tmp_path / "elsewhere"))
+    stamped(tmp_path / "data", twin_with_two_releases, status=2)
+    assert "other.mcap: is a link to another folder" in capsys.readouterr().err
+
+
 def write_trial(path: Path, **metadata: str) -> Path:
     from mcap.writer import Writer
 
