@@ -7,7 +7,7 @@ import contextlib
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pytest_twin import __version__
 from pytest_twin.commands import json_output, terminal
@@ -18,28 +18,22 @@ from pytest_twin.formats.declared_folders import declaring
 from pytest_twin.interrupts import sigterm_as_interrupt
 from pytest_twin.systems import unsupported_system
 
-COMMANDS: tuple[str, ...] = (
-    "init",
-    "intake",
-    "audit",
-    "realize",
-    "replay",
-    "diagnose",
-    "calibrate",
-    "excite",
-    "identify",
-    "budget",
-    "randomize",
-    "convert",
-    "show",
-    "effects",
-    "verify",
-    "stamp",
-    "fresh",
-    "shadow",
-    "rollback",
-    "completion",
-)
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "asset and twin": ("intake", "audit", "realize", "init"),
+    "gate and releases": ("verify", "stamp", "fresh", "rollback"),
+    "recordings and diagnosis": ("show", "convert", "replay", "diagnose", "effects"),
+    "from calibration to training and adaptation": (
+        "calibrate",
+        "excite",
+        "identify",
+        "budget",
+        "randomize",
+        "shadow",
+    ),
+    "shell": ("completion",),
+}
+"""Title on the first page of the help -> commands, in the order of use."""
+COMMANDS: tuple[str, ...] = tuple(name for names in GROUPS.values() for name in names)
 BROKEN_PIPE = 141
 """Exit status after SIGPIPE: 128 + 13."""
 INTERRUPTED = 130
@@ -55,9 +49,12 @@ def parser(commands: Sequence[str] = COMMANDS) -> Parser:
         "lacks.",
         epilog=f"{_PROGRAM} COMMAND --help shows the options, an example and the exit statuses.\n"
         "The gate itself runs in pytest: pytest --twin-release, pytest --help (group twin).",
+        groups=GROUPS,
     )
     main_parser.add_argument("--version", action="version", version=f"{_PROGRAM} {__version__}")
-    subparsers = main_parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    subparsers = main_parser.add_subparsers(
+        title="commands", dest="command", metavar="COMMAND", required=True
+    )
     for name in commands:
         module = importlib.import_module(f"pytest_twin.commands.{name}")
         command = subparsers.add_parser(

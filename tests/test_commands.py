@@ -35,7 +35,43 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         cli.main(["--help"])
     assert end.value.code == 0
     said = capsys.readouterr().out
-    assert all(re.search(rf"^    {name}\s", said, re.MULTILINE) for name in cli.COMMANDS)
+    for title, names in cli.GROUPS.items():
+        group = said.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
+        assert re.findall(r"^  ([a-z]+)\s", group, re.MULTILINE) == list(names)
+
+
+def test_effects_describes_the_named_effects(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["effects", "backlash"]) == 0
+    text = capsys.readouterr().out
+    assert "  gap [rad or m]: backlash; absent at 0; fitted within: 0 to 0.4\n" in text
+    for part in ("law:\n  effort = ", "  dead_zone: move the link by hand", "source: Nordin"):
+        assert part in text
+    assert cli.main(["effects", "backlash", "payload", "--json", "-"]) == 0
+    assert list(json.loads(capsys.readouterr().out)) == ["backlash", "payload"]
+
+
+def test_an_unknown_effect_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["effects", "baklash"]) == 2
+    assert capsys.readouterr().err == (
+        "pytest-twin effects: there is no effect 'baklash'; did you mean 'backlash'? "
+        "(expected a name that pytest-twin effects lists)\n"
+    )
+
+
+def test_all_commands_name_twin_and_release_in_one_way() -> None:
+    described: dict[str, set[str]] = {}
+    for name, command in cli.parser()._subparsers._group_actions[0].choices.items():
+        for action in command._actions:
+            words = {"TWIN", "RELEASE"} & set(str(action.metavar).split("|"))
+            if "twin" in action.dest or "release" in action.dest:
+                assert words, f"{name}: {action.metavar}"
+            for word in words:
+                described.setdefault(word, set()).add(action.help.split(" (")[0].split(":")[0])
+    assert described["TWIN"] == {"twin.yaml or its folder"}
+    assert {
+        text.removesuffix(" and its records; or a stamped data set or policy")
+        for text in described["RELEASE"]
+    } == {"folder of a release, or of a twin for its newest release"}
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
@@ -75,7 +111,7 @@ def test_a_misspelt_command_is_refused_with_a_similar_command(
     assert end.value.code == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert said.startswith(
-        "pytest-twin: there is no command 'diagnoze'; did you mean 'diagnose'? (commands: init, "
+        "pytest-twin: there is no command 'diagnoze'; did you mean 'diagnose'? (commands: intake, "
     )
     assert all(name in said for name in cli.COMMANDS)
 

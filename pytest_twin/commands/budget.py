@@ -9,6 +9,7 @@ from typing import Any
 
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.release_folder import TWIN_HELP
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
@@ -28,7 +29,7 @@ JSON_NAME, PAGE_NAME = "budget.json", "budget.html"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("twin", metavar="TWIN", type=Path, help=f"{FILE_NAME} or its folder")
+    parser.add_argument("twin", metavar="TWIN", type=Path, help=TWIN_HELP)
     parser.add_argument(
         "--out",
         metavar="DIR",

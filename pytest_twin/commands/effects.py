@@ -1,4 +1,4 @@
-"""``pytest-twin effects``: list the effects that a diagnosis can identify."""
+"""``pytest-twin effects``: list the effects that a diagnosis can identify, or describe some."""
 
 from __future__ import annotations
 
@@ -6,21 +6,46 @@ import argparse
 import sys
 
 from pytest_twin.commands import json_output
+from pytest_twin.commands.help import did_you_mean
+from pytest_twin.commands.terminal import show
 from pytest_twin.effects import catalogue
-from pytest_twin.effects.card import as_json, cards
+from pytest_twin.effects.card import as_json, cards, description
+from pytest_twin.errors import TwinError
 
 HELP = "list the physical effects that a diagnosis can name, with laws, parameters and sources"
-EXAMPLES = ("pytest-twin effects | less", "pytest-twin effects --json - | jq 'keys'")
-EXIT_STATUS = {0: "the catalogue is printed"}
+EXAMPLES = ("pytest-twin effects backlash", "pytest-twin effects --json - | jq 'keys'")
+EXIT_STATUS = {0: "the effects are printed"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Do nothing: the command has no arguments."""
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "names",
+        metavar="NAME",
+        nargs="*",
+        help="effects to describe: law, parameters with units, source, similar effects and the "
+        "tests that separate them (default: all effects, as Markdown)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the catalogue as Markdown; return 0."""
+    """Print the named effects, or the catalogue as Markdown; return 0.
+
+    Raises:
+        TwinError: there is no effect of a name.
+    """
     effects = catalogue()
-    json_output.give(args, as_json(effects))
-    sys.stdout.write(cards(effects))
+    for name in args.names:
+        if name not in effects:
+            raise TwinError(
+                f"there is no effect {name!r}{did_you_mean(name, effects)}",
+                expected="a name that pytest-twin effects lists",
+            )
+    if not args.names:
+        json_output.give(args, as_json(effects))
+        sys.stdout.write(cards(effects))
+        return 0
+    chosen = {name: effects[name] for name in args.names}
+    json_output.give(args, as_json(chosen))
+    show("\n\n".join(description(effect) for effect in chosen.values()))
     return 0

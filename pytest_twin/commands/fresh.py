@@ -9,6 +9,7 @@ from typing import Any
 from pytest_twin import release
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.release_folder import TWIN_HELP, twin_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
 from pytest_twin.formats.temporary import temporary_folder
@@ -39,9 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--twin",
-        metavar="DIR",
+        metavar="TWIN",
         type=Path,
-        help="folder of the twin (default: a parent folder of DATASET or of the working directory, "
+        help=f"{TWIN_HELP} (default: the twin above DATASET or the working directory, "
         "else the folder from which the data set was stamped)",
     )
     model_files.add_arguments(parser)
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     """
     dataset: Path = args.dataset
     found = stamps.read(dataset)
-    root = stamps.twin_that_stamped(dataset, found) if args.twin is None else _root(args.twin)
+    root = stamps.twin_that_stamped(dataset, found) if args.twin is None else twin_folder(args.twin)
     stated = _stamped_release(dataset, found, root)
     folder = release_folder(root, stated.number)
     with (
@@ -91,13 +92,6 @@ def run(args: argparse.Namespace) -> int:
     json_output.give(args, document)
     show("\n".join(printable(line) for line in _words(document)))
     return FRESH if document["verdict"] == "fresh" else STALE
-
-
-def _root(given: Path) -> Path:
-    root = given.parent if given.name == FILE_NAME else given
-    if not (root / FILE_NAME).is_file():
-        raise ReleaseError("no twin", path=given, where="--twin", expected=f"a folder: {FILE_NAME}")
-    return root.absolute()
 
 
 def _stamped_release(dataset: Path, found: list[stamps.StampedFile], root: Path) -> release.Release:

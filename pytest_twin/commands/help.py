@@ -6,6 +6,7 @@ import argparse
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, NoReturn
 
 UNUSABLE_INPUT = 2
@@ -13,11 +14,38 @@ UNUSABLE_INPUT = 2
 _UNUSABLE = "unusable input; one line on standard error states file, place and remedy"
 
 
+class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Keeps line breaks, and lists subcommands in groups."""
+
+    def __init__(self, prog: str, *, groups: Mapping[str, Sequence[str]]) -> None:
+        super().__init__(prog, max_help_position=16 if groups else 24)
+        self._groups = groups
+
+    def _format_action(self, action: argparse.Action) -> str:
+        if not isinstance(action, argparse._SubParsersAction):
+            return super()._format_action(action)
+        commands = {entry.dest: entry for entry in action._get_subactions()}
+        lines = []
+        for title, names in self._groups.items():
+            lines.append(f"\n{title}:\n")
+            for name in names:
+                lines.append(super()._format_action(commands[name]))
+        return "".join(lines)
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser that keeps line breaks in its help and answers errors in one line."""
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+    def __init__(
+        self, *args: Any, groups: Mapping[str, Sequence[str]] | None = None, **options: Any
+    ) -> None:
+        """Create the parser.
+
+        Args:
+            args, options: those of ``ArgumentParser``.
+            groups: title -> names of subcommands, as the help lists them.
+        """
+        options.setdefault("formatter_class", partial(_HelpFormatter, groups=groups or {}))
         super().__init__(*args, **options)
 
     def error(self, message: str) -> NoReturn:

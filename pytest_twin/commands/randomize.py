@@ -14,6 +14,7 @@ from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
     recording_options,
 )
+from pytest_twin.commands.release_folder import TWIN_HELP
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
@@ -42,7 +43,7 @@ _FEWEST_ROBOTS = 32
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("twin", metavar="TWIN", type=Path, help=f"{FILE_NAME} or its folder")
+    parser.add_argument("twin", metavar="TWIN", type=Path, help=TWIN_HELP)
     parser.add_argument(
         "--final",
         metavar="RECORDING",

@@ -1,4 +1,4 @@
-"""Resolve RELEASE on a command line: a release's folder, or a twin's."""
+"""Resolve TWIN and RELEASE on a command line."""
 
 from __future__ import annotations
 
@@ -6,6 +6,22 @@ from pathlib import Path
 
 from pytest_twin import release
 from pytest_twin.errors import ReleaseError
+from pytest_twin.twin import FILE_NAME
+
+TWIN_HELP = "twin.yaml or its folder"
+RELEASE_HELP = "folder of a release, or of a twin for its newest release"
+
+
+def twin_folder(given: Path) -> Path:
+    """Return the folder of a twin from its ``twin.yaml`` or its folder.
+
+    Raises:
+        ReleaseError: there is no twin.
+    """
+    folder = given.parent if given.name == FILE_NAME else given
+    if not (folder / FILE_NAME).is_file():
+        raise ReleaseError("no twin", path=given, expected=TWIN_HELP)
+    return folder.absolute()
 
 
 def release_folder(given: Path) -> Path:
@@ -16,7 +32,7 @@ def release_folder(given: Path) -> Path:
     """
     if not given.is_dir():
         raise ReleaseError("no such release", path=given, expected="the folder of a release")
-    if (given / "twin.yaml").exists() or (given / "releases").is_dir():
+    if (given / FILE_NAME).exists() or (given / "releases").is_dir():
         found = release.newest(given)
         if found is None:
             raise ReleaseError(

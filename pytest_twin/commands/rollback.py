@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from pytest_twin.commands import json_output
+from pytest_twin.commands.release_folder import RELEASE_HELP, TWIN_HELP, release_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
 from pytest_twin.release.rollback import Rollback, plan, restore, resume
@@ -26,16 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
         "--twin",
-        metavar="DIR",
+        metavar="TWIN",
         type=Path,
         default=Path(),
-        help="folder of the twin, or a folder in it (default: the working directory)",
+        help=f"{TWIN_HELP} (default: the twin in or above the working directory)",
     )
     parser.add_argument(
         "--release",
         metavar="RELEASE",
         type=Path,
-        help="folder of the release (default: the newest one that is signed and undamaged)",
+        help=f"{RELEASE_HELP} (default: the newest one that is signed and undamaged)",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="list the files that would be replaced"
@@ -51,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     root = _root(args.twin)
     folder: Path | None = None
     if args.release is not None:
-        folder = args.release.absolute()
+        folder = release_folder(args.release).absolute()
         if folder.parent.parent.resolve() != root.resolve():
             raise ReleaseError(
                 "a release of another twin",
@@ -87,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _root(given: Path) -> Path:
     """The folder of the twin at or above a folder; its ``twin.yaml`` may be missing so far."""
-    given = given.absolute()
+    given = (given.parent if given.name == FILE_NAME else given).absolute()
     for folder in (given, *given.parents):
         if (folder / FILE_NAME).is_file() or (folder / PENDING_ROLLBACK).is_dir():
             return folder

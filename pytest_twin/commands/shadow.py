@@ -11,7 +11,7 @@ from pytest_twin.adaptation_spec import ResidualSpec, digest_of
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP
-from pytest_twin.commands.release_folder import release_folder
+from pytest_twin.commands.release_folder import RELEASE_HELP, release_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import atomic
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "release",
         metavar="RELEASE",
         type=Path,
-        help="folder of a release, or of a twin for its newest release",
+        help=RELEASE_HELP,
     )
     parser.add_argument(
         "candidate",

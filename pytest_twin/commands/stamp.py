@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.release_folder import release_folder
+from pytest_twin.commands.release_folder import RELEASE_HELP, release_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.release import stamps
 from pytest_twin.release.stamp import PARTS, VARIANTS
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RELEASE",
         type=Path,
         required=True,
-        help="folder of the release that it was made with, or of a twin for its newest release",
+        help=f"{RELEASE_HELP}: the one that the data were made with",
     )
 
     for part in VARIANTS:

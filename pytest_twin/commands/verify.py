@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pytest_twin import release
 from pytest_twin.commands import json_output
-from pytest_twin.commands.release_folder import release_folder
+from pytest_twin.commands.release_folder import RELEASE_HELP, release_folder
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError, TwinError
 from pytest_twin.formats.stamps import is_carrier
@@ -43,8 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "release",
         metavar="RELEASE|DATASET",
         type=Path,
-        help="folder of a release, or of a twin for its newest release and its records; or a "
-        "stamped data set or policy",
+        help=f"{RELEASE_HELP} and its records; or a stamped data set or policy",
     )
     parser.add_argument(
         "--keys",

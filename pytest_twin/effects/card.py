@@ -65,10 +65,7 @@ def card(effect: Effect) -> str:
             ("parameter", "meaning", "unit", "absent at", "range of the fit"),
             (
                 (_names(same), *shown)
-                for shown, same in itertools.groupby(
-                    effect.parameters,
-                    lambda p: (_describe_parameter(p), _unit(p), _neutral_value(p), _range(p)),
-                )
+                for shown, same in itertools.groupby(effect.parameters, _parameter_columns)
             ),
         ),
     ]
@@ -80,6 +77,37 @@ def card(effect: Effect) -> str:
         lines.append(_table(("confused with", "test that separates them"), tests))
     lines += [f"Source: {effect.source}.", ""]
     return "\n".join(lines)
+
+
+def description(effect: Effect) -> str:
+    """Return the content of a :func:`card` as plain text for a terminal."""
+    where = "the whole robot" if effect.scope == "robot" else "one joint"
+    lines = [
+        f"{effect.id}: {_summary(effect)}",
+        f"part: {effect.path}; acts on {where}; command modes: {', '.join(effect.modes)}",
+        "law:",
+        *(f"  {part.strip()}" for part in effect.law.split("; ")),
+        "parameters:",
+    ]
+    for (meaning, unit, neutral, limits), same in itertools.groupby(
+        effect.parameters, _parameter_columns
+    ):
+        absent = f"absent at {neutral}; " * bool(neutral)
+        lines.append(f"  {_names(same)} [{unit}]: {meaning}; {absent}fitted within: {limits}")
+    if effect.confused_with:
+        lines.append("confused with, and the test that separates them:")
+        lines += [f"  {rival}: {test}" for rival, test in effect.confused_with.items()]
+    return "\n".join([*lines, f"source: {effect.source}"]).replace("`", "")
+
+
+def _parameter_columns(parameter: Parameter) -> tuple[str, str, str, str]:
+    """Return meaning, unit, neutral value and range of a parameter."""
+    return (
+        _describe_parameter(parameter),
+        _unit(parameter),
+        _neutral_value(parameter),
+        _range(parameter),
+    )
 
 
 def _names(parameters: Iterable[Parameter]) -> str:

@@ -56,7 +56,8 @@ def test_rollback_restores_the_newest_release_and_keeps_a_copy_of_replaced_files
 
 def test_rollback_restores_a_given_release(twin_with_two_releases: Path) -> None:
     older = str(twin_with_two_releases / "releases" / "0001")
-    assert cli.main(["rollback", "--twin", str(twin_with_two_releases), "--release", older]) == 0
+    twin = str(twin_with_two_releases / "twin.yaml")
+    assert cli.main(["rollback", "--twin", twin, "--release", older]) == 0
     assert (twin_with_two_releases / "arm.xml").read_text() == OLD
 
 
