@@ -24,7 +24,7 @@ from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats import atomic, xml
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.paths import read_bytes
-from pytest_twin.realization import gltf, inertia, mesh, urdf
+from pytest_twin.realization import gltf, inertia, mesh, urdf, urdf_orientation
 from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS
@@ -113,7 +113,7 @@ class _Normalizer:
         self.files = UrdfFiles.of(robot.node, located.roots, located.packages)
         self.accept = set(accept)
         self.known_patches: set[str] = set()
-        self.root = xml.parse(source)
+        self.root, self.quaternions = urdf_orientation.parse(source)
         stem = file_stem(source.stem, "robot")
         self.out = Normalized(folder / f"{stem}.urdf", [folder / f"{stem}.urdf"], [source])
         self.meshes: dict[tuple[Path, tuple[float, ...]], str] = {}
@@ -123,6 +123,7 @@ class _Normalizer:
         self.bytes = self.faces = 0
 
     def run(self) -> Normalized:
+        self._orientations()
         self._names()
         self._joints()
         self._inertias()
@@ -194,6 +195,16 @@ class _Normalizer:
             self._change(element, attribute, before, value, why)
 
     # -- form
+
+    def _orientations(self) -> None:
+        for stated in self.quaternions:
+            self._change(
+                stated.origin,
+                urdf_orientation.QUATERNION,
+                stated.quaternion,
+                f"rpy {stated.rpy}",
+                "the same rotation in rad, which every parser reads",
+            )
 
     def _names(self) -> None:
         name = self.root.get("name") or ""

@@ -70,8 +70,8 @@ DYNAMIC_LIMITS = Destination(
 QUATERNION = Destination(
     "orientations as quaternions",
     "frames.quaternion",
-    "most parsers read `rpy` alone: the element keeps its orientation only where `rpy` says it too",
-    "state the same orientation as `rpy`",
+    "parsers read a quaternion only at a robot of version 1.1 or higher: this one is ignored",
+    'state the same orientation as `rpy`, or add version="1.1" to the robot',
 )
 INTERFACES = Destination(
     "controller interfaces",

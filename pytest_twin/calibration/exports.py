@@ -18,8 +18,8 @@ from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.exported_mjcf import write_calibrated_mjcf
 from pytest_twin.calibration.joint_changes import joint_changes
 from pytest_twin.calibration.plan import Plan, load_plan
-from pytest_twin.formats import xml
 from pytest_twin.metrics.pose import rotation_of
+from pytest_twin.realization import urdf_orientation
 
 STATIC_TRANSFORMS = "static_transforms.sh"
 EASY_HANDEYE = "easy_handeye2.calib"
@@ -158,7 +158,7 @@ def calibrated_urdf(robot: Path, records: Mapping[str, Any], folder: Path) -> st
         records: ``records`` of ``calibration.json``.
         folder: folder of the new file; relative paths of meshes are rewritten for it.
     """
-    root = xml.parse(robot)
+    root, _ = urdf_orientation.parse(robot)
     changes: dict[str, FloatArray] = {}
     for name, change in joint_changes(records, _axes_of_urdf(root)):
         changes[name] = changes.get(name, np.eye(4)) @ change

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.errors import LimitError
 from pytest_twin.formats import xml
-from pytest_twin.realization import inertia
+from pytest_twin.realization import inertia, urdf_orientation
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf_compiler import UrdfCompiler
@@ -207,9 +207,9 @@ def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
 
     Raises:
         FormatError: not well-formed, or larger than a limit.
-        ModelError: not a URDF.
+        ModelError: not a URDF, or a quaternion that states no orientation.
     """
-    root = _nodes(xml.parse(path), path, limits)
+    root = _nodes(urdf_orientation.parse(path)[0], path, limits)
     if root.tag != "robot":
         raise root.error("not a URDF", value=root.tag, expected="the root <robot>")
     if not root.all("link"):

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import TwinError
-from pytest_twin.realization import inertia, mesh, mjcf
+from pytest_twin.realization import inertia, mesh, mjcf, urdf_orientation
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
@@ -148,6 +148,11 @@ class _Converter:
             self._collisions(link)
         self._exclude_base()
         self._note_left_out()
+        for element in urdf_orientation.ignored(self.robot.node):
+            self.note(
+                element,
+                "quat_xyzw is ignored, as urdfdom does: the robot has no version='1.1' or higher",
+            )
         return self.out
 
     def _empty(self) -> mujoco.MjSpec:
