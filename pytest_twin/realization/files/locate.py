@@ -43,6 +43,8 @@ class ModelFolders:
             lines.append(f"root of the model: {self.root.folder} ({self.root.why})")
         for name, package in sorted(self.packages.found.items()):
             lines.append(f"package '{name}': {package.folder} (found by {package.by})")
+        for beginning, name in sorted(self.packages.renamed.items()):
+            lines.append(f"{beginning} is taken for package '{name}'")
         return tuple(lines)
 
     def to_json(self) -> dict[str, Any]:

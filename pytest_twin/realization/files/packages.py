@@ -38,6 +38,10 @@ class FoundPackage:
     folder: Path
     by: str
 
+    def has(self, file: str) -> bool:
+        """Whether the package contains a file."""
+        return (self.folder / file).exists()
+
 
 @dataclass(slots=True)
 class Packages:
@@ -54,6 +58,8 @@ class Packages:
         declared: package -> folder, from ``twin.yaml``.
         environment: environment variables.
         found: packages found so far: name -> package.
+        renamed: beginning of a reference that names no package of this machine -> the package that
+            it was taken for.
     """
 
     above: Sequence[Path] = ()
@@ -62,6 +68,7 @@ class Packages:
     declared: Mapping[str, Path] = field(default_factory=dict)
     environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
     found: dict[str, FoundPackage] = field(default_factory=dict)
+    renamed: dict[str, str] = field(default_factory=dict)
 
     def find(self, name: str, file: str) -> FoundPackage | None:
         """Find the folder of a package; None if it is not found.
@@ -72,13 +79,43 @@ class Packages:
         """
         first: FoundPackage | None = None
         for candidate in self._candidates(name, file):
-            if (candidate.folder / file).exists():
+            if candidate.has(file):
                 self.found[name] = candidate
                 return candidate
             first = first or candidate
         if first is not None:
             self.found.setdefault(name, first)
         return first
+
+    def alike(self, name: str) -> str | None:
+        """The only package near the model whose name differs in upper and lower case alone."""
+        known = {other for other in self._names() if other.casefold() == name.casefold()} - {name}
+        return known.pop() if len(known) == 1 else None
+
+    def may_contain(self, path: Path) -> bool:
+        """Whether a path is in a folder above the model, or in one that the user declares."""
+        folders = (*self.above, *self.roots, *self.given.values(), *self.declared.values())
+        return any(path.is_relative_to(folder) for folder in folders)
+
+    def _names(self) -> Iterator[str]:
+        yield from self.given
+        yield from self.declared
+        near = [candidate for top in self.above for candidate in (top, *_folders_in(top))]
+        declared = [candidate for root in self.roots for candidate in (root, *_folders_in(root))]
+        on_path = [
+            candidate
+            for entry in self._paths("ROS_PACKAGE_PATH")
+            for candidate in (entry, *_folders_in(entry))
+        ]
+        shared = [
+            candidate
+            for prefix in self._paths("AMENT_PREFIX_PATH")
+            for candidate in _folders_in(prefix / "share")
+        ]
+        for folder in (*near, *declared, *shared, *on_path):
+            yield folder.name
+        for folder in (*near, *on_path):
+            yield package_name(folder) or ""
 
     def places(self) -> list[str]:
         """Descriptions of all searched places, for messages."""

@@ -9,10 +9,14 @@ from typing import Any
 
 from pytest_twin.errors import PathError
 from pytest_twin.formats.paths import Roots
-from pytest_twin.realization.files.packages import Packages
+from pytest_twin.realization.files.packages import BY_FILE, Packages
 
 _IN_PACKAGE = re.compile(r"(?:package|model)://+", re.IGNORECASE)
 _FILE = re.compile(r"file://(?:localhost(?=/))?", re.IGNORECASE)
+_FIND = re.compile(r"\$\(find\s+(?P<name>[^)\s]+)\s*\)/+(?P<rest>.+)", re.DOTALL)
+"""What a xacro file says, in a URDF that was not expanded completely."""
+_SHARE = re.compile(r"/(?:.*/)?share/+(?P<name>[^/]+)/+(?P<rest>.+)", re.DOTALL)
+"""Path of an installed package: ``PREFIX/share/NAME/...``, of the machine that wrote the URDF."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +80,9 @@ class UrdfFiles:
         """Absolute path of a referenced file, without following links and without checks.
 
         If the URDF states MuJoCo's folders, the file there is used. Otherwise, or if it does not
-        exist, the rules of ROS apply: relative to the URDF, or ``package://``. The file that only
-        MuJoCo would find comes last.
+        exist, the rules of ROS apply: relative to the URDF, or ``package://``. The path of an
+        installed package on another machine is looked up in the package of its name here. The file
+        that only MuJoCo would find comes last.
 
         Raises:
             PathError: its package is not found.
@@ -121,15 +126,52 @@ class UrdfFiles:
         scheme = _IN_PACKAGE.match(reference)
         if scheme is not None:
             name, _, rest = reference[scheme.end() :].partition("/")
-            rest = rest.lstrip("/")
-            package = self.packages.find(name, rest)
-            if package is None:
-                raise PathError(
-                    f"package '{name}' is not found",
-                    expected=f"--package {name}=FOLDER, or a folder of that name; looked in "
-                    + ", ".join(self.packages.places()),
-                )
-            return package.folder / rest
+            return self._in_package(name, rest.lstrip("/"), scheme[0] + name)
         if "://" in reference and not _FILE.match(reference):
             raise PathError("a URL, not a path", expected="a path, package:// or file://")
-        return at.parent / _FILE.sub("", reference, count=1)
+        text = _FILE.sub("", reference, count=1)
+        path = at.parent / text
+        elsewhere = _FIND.match(text) or _SHARE.match(text)
+        if elsewhere is None or (
+            path.exists() and (self.packages.may_contain(path) or self.roots.contains(path))
+        ):
+            return path
+        return self._in_package(
+            elsewhere["name"], elsewhere["rest"], text[: elsewhere.start("rest")].rstrip("/")
+        )
+
+    def _in_package(self, name: str, rest: str, beginning: str) -> Path:
+        """Path of a file in a package.
+
+        Args:
+            name: name of the package, as written.
+            rest: path of the file in the package, as written.
+            beginning: the reference as written, up to and including the name.
+
+        Raises:
+            PathError: the package is not found.
+        """
+        package = self.packages.find(name, rest)
+        is_here = package is not None and package.has(rest) and package.by != BY_FILE
+        # Case has no meaning on some machines, and some exporters write the name twice.
+        for known in () if is_here else (name, self.packages.alike(name)):
+            for written in (rest, rest.removeprefix(f"{name}/")):
+                other = None if known is None else self.packages.find(known, written)
+                if other is None or known is None or not other.has(written) or other.by == BY_FILE:
+                    continue
+                self.packages.renamed[beginning if written == rest else f"{beginning}/{name}"] = (
+                    known
+                )
+                if known != name:
+                    self.packages.found.pop(name, None)
+                return other.folder / written
+        if package is None:
+            raise PathError(
+                f"package '{name}' is not found",
+                expected=f"--package {name}=FOLDER, or a folder of that name; looked in "
+                + ", ".join(self.packages.places()),
+            )
+        self.packages.found[name] = package
+        if not beginning.endswith(f"://{name}"):
+            self.packages.renamed[beginning] = name
+        return package.folder / rest
