@@ -22,10 +22,12 @@ def in_model_names(
 ) -> tuple[JointSeries, list[str]]:
     """Rename the joints of a topic to the names of the model, and remove joints that it lacks.
 
+    The joints get the order of the model: results must not depend on the order in a message.
+
     Args:
         series: series of one topic.
         names: mapping from recorded names to the model's.
-        joints: joints of the model; None to keep all joints.
+        joints: joints of the model in its order; None to keep all joints.
         path: path of the recording, for errors.
 
     Returns:
@@ -45,12 +47,15 @@ def in_model_names(
             value=", ".join(both),
             expected="one; 'joints:' in twin.yaml or --joints says which",
         )
-    keep = [i for i, name in enumerate(renamed) if joints is None or name in joints]
+    order = {name: place for place, name in enumerate(renamed if joints is None else joints)}
+    keep = sorted(
+        (i for i, name in enumerate(renamed) if name in order), key=lambda i: order[renamed[i]]
+    )
     if not keep:
         raise _no_such_joint(series, renamed, joints or (), path)
     notes = []
     if len(keep) < len(renamed):
-        gone = [name for i, name in enumerate(renamed) if i not in set(keep)]
+        gone = [name for name in renamed if name not in order]
         note = f"{series.topic}: left out, not in the model: {list_names(gone)}"
         others = [joint for joint in joints or () if joint not in renamed]
         offers = suggest_mappings(gone, others)
@@ -59,7 +64,7 @@ def in_model_names(
         elif others:
             note += f"; of the model not recorded: {list_names(others)}"
         notes.append(note)
-    if len(keep) < len(renamed) or tuple(renamed) != series.names:
+    if keep != list(range(len(renamed))) or tuple(renamed) != series.names:
         series = replace(
             series,
             names=tuple(renamed[i] for i in keep),

@@ -84,7 +84,9 @@ def test_unnamed_values_follow_the_order_of_the_models_actuators(
         "taken in the order of the model's actuators: shoulder, elbow" in n for n in trial.notes
     )
     turned = RecordingOptions(joints=JointNames(names={"0": "elbow", "1": "shoulder"}))
-    assert make_trial(recording, arm.structure, turned).joints == ("elbow", "shoulder")
+    exchanged = make_trial(recording, arm.structure, turned)
+    assert exchanged.joints == JOINTS
+    assert np.array_equal(exchanged.position, trial.position[:, ::-1])
 
 
 def test_more_unnamed_values_than_actuators_are_refused(tmp_path: Path, arm: Realization) -> None:
