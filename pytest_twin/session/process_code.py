@@ -140,11 +140,41 @@ def _hiding_modules(config: pytest.Config, root: Path) -> Iterator[str]:
         if entry in children:
             continue
         for name, path in _modules_in(Path(entry)):
-            if name not in _FREE_NAMES and _is_of_the_gate(name, children):
+            if (
+                name not in _FREE_NAMES
+                and _is_of_the_gate(name, children)
+                and not _is_copy_of_installed(name, path, children)
+            ):
                 yield (
                     f"{path}: hides the installed module {name!r} in this process (expected "
                     "another name, or `pytest` instead of `python -m pytest`)"
                 )
+
+
+def _is_copy_of_installed(name: str, path: Path, children: list[str]) -> bool:
+    """Whether each file of the module at ``path`` is a copy of one of the installed module.
+
+    This is so in a checkout of pytest-twin itself. Compiled modules count: Python may run them in
+    place of their source.
+    """
+    spec = PathFinder.find_spec(name, children)
+    if spec is None or spec.origin is None:
+        return False
+    if path.is_file():
+        return _same_content(path, Path(spec.origin))
+    installed = Path(spec.origin).parent
+    return all(
+        _same_content(file, installed / file.relative_to(path))
+        for file in path.rglob("*")
+        if not file.is_dir()
+    )
+
+
+def _same_content(file: Path, other: Path) -> bool:
+    try:
+        return file.name == other.name and file_sha256(file) == file_sha256(other)
+    except TwinError:
+        return False
 
 
 def _modules_in(folder: Path) -> Iterator[tuple[str, Path]]:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
+import token
 from pathlib import Path
 
+import pluggy
 import pytest
 
 from pytest_twin import release
+from pytest_twin.session.process_code import _is_copy_of_installed
 
 MARK = "import pathlib; pathlib.Path(__file__).parent.joinpath('MARK').touch()\n"
 HOOKS = "import helper\n\ndef pytest_runtest_makereport(item, call):\n    pass\n"
@@ -101,6 +105,29 @@ def test_a_module_that_hides_one_of_the_library_prevents_a_release(recorded) -> 
     done = run_as_user(recorded, "--twin-release")
     assert "token.py: hides the installed module 'token' in this process (" in done.stdout
     assert recorded.releases == []
+
+
+def test_a_copy_of_an_installed_module_hides_nothing(recorded) -> None:
+    """As a checkout does whose own pytest-twin is installed."""
+    recorded.write("conftest.py", "")
+    recorded.write("token.py", Path(token.__file__).read_text(encoding="utf-8"))
+    done = run_as_user(recorded, "--twin-release")
+    assert done.returncode == 0, done.stdout
+    recorded.write("token.py", Path(token.__file__).read_text(encoding="utf-8") + MARK)
+    done = run_as_user(recorded, "--twin-release")
+    assert "hides the installed module 'token'" in done.stdout
+
+
+def test_a_package_is_a_copy_with_equal_files_only(tmp_path: Path) -> None:
+    package = Path(pluggy.__file__).parent
+    copy = tmp_path / "pluggy"
+    shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    assert _is_copy_of_installed("pluggy", copy, sys.path)
+    # Python runs a compiled module in place of its source where the module says so.
+    compiled = copy / "__pycache__" / "_hooks.pyc"
+    compiled.parent.mkdir()
+    compiled.write_bytes(b"")
+    assert not _is_copy_of_installed("pluggy", copy, sys.path)
 
 
 @pytest.mark.parametrize("module", [False, True])
