@@ -30,7 +30,7 @@ REPORTS = "reports"
 _WORDS = (b'"asset"', b'"states"', b'"source"', b'"digest"', b'"files"')
 """Words of every manifest."""
 _XML_SUFFIXES = (".urdf", ".xml")
-_VERSIONED = ("pytest-twin", "mujoco", "trimesh", "numpy")
+_VERSIONED = ("pytest-twin", "mujoco", "trimesh", "numpy", "xacro")
 """Distributions whose versions a made state names."""
 _MAX_BYTES = 64 * 2**20
 """Largest size of a manifest."""

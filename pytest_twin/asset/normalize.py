@@ -23,6 +23,7 @@ from pytest_twin.asset.collada import stated_up_axis
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats import atomic, xml
 from pytest_twin.formats.digest import bytes_sha256
+from pytest_twin.formats.expansions import expansion_of, model_stem
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.realization import gltf, inertia, mesh, urdf, urdf_orientation
 from pytest_twin.realization.files.locate import ModelFolders, locate
@@ -114,8 +115,11 @@ class _Normalizer:
         self.accept = set(accept)
         self.known_patches: set[str] = set()
         self.root, self.quaternions = urdf_orientation.parse(source)
-        stem = file_stem(source.stem, "robot")
+        stem = file_stem(model_stem(source), "robot")
         self.out = Normalized(folder / f"{stem}.urdf", [folder / f"{stem}.urdf"], [source])
+        expansion = expansion_of(source)
+        if expansion is not None:
+            self.out.source_files += expansion.read
         self.meshes: dict[tuple[Path, tuple[float, ...]], str] = {}
         self.read_meshes: dict[Path, mesh.Triangles | TwinError] = {}
         self.images: dict[Path, str] = {}

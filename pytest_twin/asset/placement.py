@@ -29,6 +29,26 @@ def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
     return known
 
 
+def require_in_source(files: Iterable[Path], path: Path, known: Manifest) -> None:
+    """Check that the files of a xacro file are in the source that intake keeps.
+
+    Args:
+        files: the files.
+        path, known: the manifest.
+
+    Raises:
+        PathError: a file is elsewhere, so that no later change of it would be seen.
+    """
+    for file in files:
+        if _name_below(file, path.parent) not in known.states["source"].files:
+            raise PathError(
+                "the source includes a file that intake does not keep, so that a later change of "
+                "it would not be seen",
+                path=file,
+                expected="one folder with all packages for pytest-twin intake",
+            )
+
+
 def complete(staging: Path, out: Path, source: Path, made: dict[str, Any]) -> None:
     """Add the manifest, and the supplier's files that it lists, to the files of a realization.
 

@@ -6,6 +6,7 @@ This module runs in the child process, because it loads untrusted files.
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from pytest_twin.asset.normalize import Normalized, normalize
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.expansions import EXPANDED, expansion_of
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import (
     inertia,
@@ -85,6 +87,11 @@ def realize(
     command += ("--root", "FOLDER") * len(declared_folders().roots)
     for patch in sorted(accept):
         command += ("--accept", patch)
+    expansion = expansion_of(path)
+    if expansion is not None:
+        for name, value in sorted(expansion.arguments.items()):
+            command += ("--xacro", f"{name}:={value}")
+        shutil.copyfile(expansion.urdf, out / f"{made.urdf.stem}{EXPANDED}")
     log = ChangeLog(command, tuple(made.changes), tuple(made.flags))
     _write(out, matrix, log)
     say(1.0)

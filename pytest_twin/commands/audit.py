@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 from pathlib import Path
 
-from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands import json_output, model_files, xacro_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic, results
+from pytest_twin.formats.expansions import EXPANDED
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.audit import render, table
 
@@ -52,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="YAML file with evidence from other sources: signs, zeros, ranges, poses, commands",
     )
     model_files.add_arguments(parser)
+    xacro_files.add_arguments(parser)
     parser.add_argument("--all", action="store_true", help="print all findings in full")
 
 
@@ -66,11 +69,14 @@ def run(args: argparse.Namespace) -> int:
     function, arguments = _call(args)
     name = f"{asset.name}.audit"
     with (
+        xacro_files.expanded(asset.resolve(), args) as expansion,
         results.result_folder(out, f"{name}.json") as staging,
         Sandbox() as sandbox,
         Progress("auditing") as progress,
     ):
         found = sandbox.call(function, arguments, progress=progress)
+        if expansion is not None:
+            shutil.copyfile(expansion.urdf, staging / f"{name}{EXPANDED}")
         renders = found.pop("renders", [])
         located = found.pop("located", [])
         atomic.write_text(staging / f"{name}.json", json.dumps(found, indent=2) + "\n")
@@ -81,6 +87,8 @@ def run(args: argparse.Namespace) -> int:
     show(table(found, every=args.all))
     for srdf in found["facts"].get("srdf", ()):
         show(f"SRDF beside it, not audited here: pytest-twin audit {srdf}")
+    if expansion is not None:
+        show(f"expanded by xacro; lines are those of {out / name}{EXPANDED}")
     show(f"report: {out / name}.html, {out / name}.json")
     return CRITICAL if found["counts"]["critical"] else CLEAN
 

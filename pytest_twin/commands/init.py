@@ -21,6 +21,7 @@ from pytest_twin.commands.recording_arguments import (
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
+from pytest_twin.formats.expansions import SUFFIX, model_stem
 from pytest_twin.gate.coverage import AUDIT
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.runner import Runner
@@ -104,6 +105,15 @@ def run(args: argparse.Namespace) -> int:
     if robot.name == FILE_NAME:
         return _propose_anew(robot, args)
     folder: Path = args.out.resolve()
+    if robot.suffix == SUFFIX:
+        # realize writes the manifest by which the gate sees that an included file changed.
+        raise SpecError(
+            "a xacro file, and a twin needs the model that came out of it",
+            path=args.robot,
+            expected="its package through pytest-twin intake PACKAGE --out DIR, then pytest-twin "
+            f"realize DIR/source/.../{robot.name} --out DIR [--xacro ARG:=VALUE], then "
+            f"pytest-twin init DIR/{model_stem(robot)}.urdf",
+        )
     if not robot.is_file() or robot.suffix.lower() not in MODEL_SUFFIXES:
         raise SpecError(
             "no robot file", path=args.robot, expected="a URDF (.urdf) or an MJCF (.xml) file"

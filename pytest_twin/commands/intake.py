@@ -144,5 +144,5 @@ def _tell(out: Path, found: dict[str, list[str]], lacking: list[str], state: Sta
     for kind in lacking:
         show(f"  missing: {kind}")
     for file in found.get("model", ()):
-        if file.endswith(".urdf"):
+        if file.endswith((".urdf", ".urdf.xacro")):
             show(f"next: pytest-twin realize {out / SOURCE / file} --out {out}")

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.asset import manifest, placement
-from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands import json_output, model_files, xacro_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import results
+from pytest_twin.formats.expansions import EXPANDED
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.words import counted
 
@@ -32,7 +33,7 @@ _PATCH = re.compile(r"[a-z-]+:.+")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("urdf", metavar="URDF", type=Path, help="URDF file of the robot")
+    parser.add_argument("urdf", metavar="URDF", type=Path, help="URDF or xacro file of the robot")
     parser.add_argument(
         "--out", metavar="DIR", type=Path, required=True, help="folder of the converted asset"
     )
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="accept one named repair of the asset, such as inertia-repair:LINK; may be repeated",
     )
     model_files.add_arguments(parser)
+    xacro_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,13 +68,16 @@ def run(args: argparse.Namespace) -> int:
             raise SpecError(
                 "not a named patch", where="--accept", value=patch, expected="inertia-repair:LINK"
             )
-    placement.frozen_source(source)
+    frozen = placement.frozen_source(source)
     out: Path = args.out.resolve()
     with (
+        xacro_files.expanded(source, args) as expansion,
         results.result_folder(out, manifest.FILE_NAME, stays=manifest.SOURCE_FOLDER) as staging,
         Sandbox() as sandbox,
         Progress("realizing") as progress,
     ):
+        if frozen is not None and expansion is not None:
+            placement.require_in_source(expansion.read, *frozen)
         made = sandbox.call(
             "pytest_twin.asset.realize:realize",
             {
@@ -82,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
             },
             progress=progress,
         )
-        normalized = staging / source.name
+        normalized = staging / f"{made['asset']}.urdf"
         if normalized.is_file():
             known = "\n".join(made["critical"])
             made["critical"] += [
@@ -96,6 +101,11 @@ def run(args: argparse.Namespace) -> int:
         placement.complete(staging, out, source, made)
     json_output.give(args, made)
     _tell(args.out, made)
+    if expansion is not None:
+        show(
+            f"{source.name} was expanded by xacro; lines in changes.md are those of "
+            f"{args.out / made['asset']}{EXPANDED}"
+        )
     return CRITICAL if made["critical"] else CLEAN
 
 

@@ -14,6 +14,7 @@ from lxml import etree
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.digest import bytes_sha256
+from pytest_twin.formats.expansions import expansion_of
 from pytest_twin.formats.paths import read_bytes
 
 Element: TypeAlias = etree._Element
@@ -47,14 +48,14 @@ def parse(path: Path) -> Element:
 
     Loaders of robot files (tinyxml2) accept undeclared prefixes and ``--`` in comments. This
     function accepts them too, and :func:`irregularities` lists them. An undeclared prefix remains
-    part of the name.
+    part of the name. A xacro file that the command expanded is read as its URDF.
 
     Raises:
         PathError: missing, a link, or no regular file.
         LimitError: beyond ``limits.XML``.
         FormatError: not well-formed, an unsupported encoding, or a DTD or XInclude.
     """
-    return parse_bytes(read_bytes(path, limits.XML.file_bytes), path)
+    return parse_bytes(_read(path), path)
 
 
 def irregularities(path: Path) -> tuple[Irregularity, ...]:
@@ -63,7 +64,12 @@ def irregularities(path: Path) -> tuple[Irregularity, ...]:
     Raises:
         PathError, LimitError, FormatError: as :func:`parse`.
     """
-    return _parse(read_bytes(path, limits.XML.file_bytes), path)[1]
+    return _parse(_read(path), path)[1]
+
+
+def _read(path: Path) -> bytes:
+    expansion = expansion_of(path)
+    return read_bytes(path if expansion is None else expansion.urdf, limits.XML.file_bytes)
 
 
 def parse_bytes(data: bytes, path: Path) -> Element:

@@ -24,6 +24,7 @@ from pytest_twin.errors import (
     cannot_write,
 )
 from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
+from pytest_twin.formats.expansions import Expansion, reading_expanded
 
 
 def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
@@ -62,7 +63,11 @@ def _send(answers: BinaryIO, answer: Mapping[str, Any]) -> None:
 def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
     _bound_cpu(request["seconds"])
     try:
-        with declaring(DeclaredFolders.of(request["declared"])):
+        expansion = request["expansion"]
+        with (
+            declaring(DeclaredFolders.of(request["declared"])),
+            reading_expanded(None if expansion is None else Expansion.of(expansion)),
+        ):
             result = _call(request["function"], request["arguments"], answers)
         json.dumps(result)
         return {"result": result}

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.errors import LimitError
+from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import xml
+from pytest_twin.formats.expansions import SUFFIX, expansion_of, model_stem
 from pytest_twin.realization import inertia, urdf_orientation
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
@@ -209,6 +210,13 @@ def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
         FormatError: not well-formed, or larger than a limit.
         ModelError: not a URDF, or a quaternion that states no orientation.
     """
+    if path.suffix == SUFFIX and expansion_of(path) is None:
+        raise FormatError(
+            "a xacro file, not a URDF",
+            path=path,
+            expected=f"pytest-twin realize {path.name} --out DIR, or the URDF that xacro writes: "
+            f"xacro {path.name} > {model_stem(path)}.urdf",
+        )
     root = _nodes(urdf_orientation.parse(path)[0], path, limits)
     if root.tag != "robot":
         raise root.error("not a URDF", value=root.tag, expected="the root <robot>")

@@ -1,0 +1,81 @@
+"""Xacro files that a command expanded: whoever parses one reads the URDF that came out.
+
+They hold for this process, and for its children, while the context is open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+SUFFIX = ".xacro"
+EXPANDED = ".expanded.urdf"
+"""End of the name of the file in which a command keeps what a xacro file expanded to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expansion:
+    """A xacro file and the URDF that came out of it.
+
+    Attributes:
+        source: the xacro file.
+        urdf: file with the text of the URDF; its relative paths start at the folder of ``source``.
+        read: the xacro file and everything that it includes or loads.
+        arguments: name -> value, as given to xacro.
+    """
+
+    source: Path
+    urdf: Path
+    read: tuple[Path, ...]
+    arguments: Mapping[str, str]
+
+    @staticmethod
+    def of(content: Mapping[str, Any]) -> Expansion:
+        """Build the object from what :meth:`to_json` returned."""
+        return Expansion(
+            Path(content["source"]),
+            Path(content["urdf"]),
+            tuple(map(Path, content["read"])),
+            dict(content["arguments"]),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able values, for a child process."""
+        return {
+            "source": str(self.source),
+            "urdf": str(self.urdf),
+            "read": [str(file) for file in self.read],
+            "arguments": dict(self.arguments),
+        }
+
+
+_current: Expansion | None = None
+
+
+def current_expansion() -> Expansion | None:
+    """The xacro file that the command in progress expanded."""
+    return _current
+
+
+def expansion_of(path: Path) -> Expansion | None:
+    """The expansion of a file; None for every file that was not expanded."""
+    return _current if _current is not None and _current.source == path else None
+
+
+def model_stem(path: Path) -> str:
+    """Name of a model without its suffixes: ``arm`` of ``arm.urdf.xacro``."""
+    return Path(path.name.removesuffix(SUFFIX)).stem if path.suffix == SUFFIX else path.stem
+
+
+@contextmanager
+def reading_expanded(expansion: Expansion | None) -> Iterator[None]:
+    """Read a xacro file as its expansion while the context is open."""
+    global _current
+    before, _current = _current, expansion
+    try:
+        yield
+    finally:
+        _current = before
