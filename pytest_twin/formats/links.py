@@ -27,7 +27,7 @@ def allowed_end(link: Path, target: Path) -> Path | None:
         link: the link; its folder contains no link.
         target: where it ends, with all links resolved.
     """
-    places = (*declared_folders().roots, *declared_folders().packages.values(), *_stores(link))
+    places = (*declared_folders().roots, *declared_folders().packages.values(), *stores(link))
     for place in places:
         if target.is_relative_to(place):
             return place
@@ -39,7 +39,12 @@ def allowed_end(link: Path, target: Path) -> Path | None:
     return None
 
 
-def _stores(link: Path) -> Iterator[Path]:
+def stores(link: Path) -> Iterator[Path]:
+    """Yield the folders in which a link may end, because a data manager keeps the contents there.
+
+    Args:
+        link: the link; it need not exist.
+    """
     for folder in link.parents:
         # https://huggingface.co/docs/huggingface_hub/guides/manage-cache
         if folder.name == "snapshots":

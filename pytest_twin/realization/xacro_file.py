@@ -12,6 +12,7 @@ from typing import Any
 
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.links import stores
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.realization.files.packages import Packages
 from pytest_twin.realization.files.root import inside
@@ -26,7 +27,11 @@ _VARIABLE = re.compile(rb"\b(?:opt)?env\s*[(\s]\s*[\"']?([A-Za-z_][A-Za-z0-9_]*)
 
 
 def readable_folders(path: Path, environment: Mapping[str, str]) -> list[Path]:
-    """Folders that the child may read: those in which the packages of a model are searched."""
+    """Folders that the child may read.
+
+    They are those in which the packages of a model are searched, and those in which their links may
+    end, such as the sources of a workspace.
+    """
     declared = declared_folders()
     named = [
         Path(entry)
@@ -34,8 +39,9 @@ def readable_folders(path: Path, environment: Mapping[str, str]) -> list[Path]:
         for entry in environment.get(variable, "").split(os.pathsep)
         if entry and Path(entry).is_dir()
     ]
-    above = [folder.path for folder in inside(folders_above(path))]
-    return [above[-1], *declared.roots, *declared.packages.values(), *named]
+    above = [inside(folders_above(file))[-1].path for file in (path, path.resolve())]
+    folders = [*above, *declared.roots, *declared.packages.values(), *named]
+    return [*folders, *(store for folder in folders for store in stores(folder / "link"))]
 
 
 def expand(
