@@ -92,15 +92,16 @@ class TwinSession:
 
         A run of selected goldens adds none: it would not record it.
         """
-        from pytest_twin.setup.missing_audit import add_audit
-
         if tuple(selection.selected_by(self.config)) or self.config.getoption("collectonly"):
             return
         for gate in self.gates.values():
             if selection.partial_arguments(self.config, gate.root):
                 continue
             try:
-                path = add_audit(gate.twin)
+                with installed_modules_only(self.runner.untrusted):
+                    from pytest_twin.setup.missing_audit import add_audit
+
+                    path = add_audit(gate.twin)
             except TwinError as error:
                 raise pytest.UsageError(str(error)) from None
             if path is not None:

@@ -24,8 +24,8 @@ def trials(folder: Path, factor: float, noise: float = 1e-3) -> list[Trial]:
     table = np.column_stack([time, position, command])
     head = "time,knee.position,knee.command"
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=head, comments="")
-    options = RecordingOptions(command_mode="position")
-    return make_trials(recordings_at(path, DEFAULT_TOPICS)[0], None, options)
+    options = RecordingOptions(command_mode="position", units="rad")
+    return make_trials(recordings_at(path, DEFAULT_TOPICS, options)[0], None, options)
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.7, 1.5])
