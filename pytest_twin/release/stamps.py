@@ -81,7 +81,7 @@ def put(
                 "is a link into a store, whose files must not change",
                 path=carrier.path,
                 value=carrier.path.resolve(),
-                expected="a copy of the file instead of the link (git annex unlock FILE, dvc unprotect "
+                expected="a copy of the file, not a link (git annex unlock FILE, dvc unprotect "
                 "FILE), which is then stamped",
             )
         recorded = _recorded_variants(carrier, given)
