@@ -190,7 +190,7 @@ def test_goldens_of_a_patched_model_are_stale_when_its_effects_change(
     shutil.copytree(root / ".twin" / "diagnosis" / "mujoco", root / "why")
     (root / "twin.yaml").write_text("name: arm\nmodel: why\n")
     result = run(root, "--twin-release")
-    assert result.returncode == 0
+    assert result.returncode == 0, result.stdout[-1500:]
     assert "2 passed" in result.stdout, result.stdout
     effects = root / "why" / "realization" / "effects.json"
     effects.write_text(effects.read_text().replace('"delay": 0.0', '"delay": 0.01'))
