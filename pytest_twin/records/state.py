@@ -300,7 +300,8 @@ def _models_of(record: Path, twin: Twin) -> tuple[str, ...]:
 def model_of(basis: Basis, record: Record, twin: Twin) -> str | Path | None:
     """Realization that a record was made with, or the path of another model, or None.
 
-    A realization is found by its file, or by the file's name where the record was moved.
+    A realization is found by its file, or by the file's name where the record was moved. The model
+    that the command wrote beside the record is the result, never the input.
     """
     if not basis.model:
         return None
@@ -310,7 +311,12 @@ def model_of(basis: Basis, record: Record, twin: Twin) -> str | Path | None:
             return name
     if twin.path_roots.contains(path) and path.is_file():
         return path
-    names = [n for n, ref in twin.realizations.items() if ref.file.name == path.name]
+    written = _models_of(record.path, twin)
+    names = [
+        name
+        for name, reference in twin.realizations.items()
+        if reference.file.name == path.name and name not in written
+    ]
     return names[0] if names else None
 
 
