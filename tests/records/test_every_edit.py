@@ -18,10 +18,10 @@ from typing import Any
 import mujoco
 import numpy as np
 import yaml
-from cell import MODEL, changed, write_cell
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 from lxml import etree
+from recorded_cell import MODEL, changed, write_cell
 
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import load

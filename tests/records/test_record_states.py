@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from cell import changed, edit, states, write_calibration, write_cell, write_identification
+from recorded_cell import changed, edit, states, write_calibration, write_cell, write_identification
 
 from pytest_twin import cli
 from pytest_twin.formats.digest import file_sha256

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from cell import changed, edit, states, write_cell, write_identification
+from recorded_cell import changed, edit, states, write_cell, write_identification
 
 from pytest_twin.budget.run import budget_of_file
 from pytest_twin.errors import SpecError
