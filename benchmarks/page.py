@@ -20,6 +20,8 @@ RESULTS = HERE / "results"
 PAGE = HERE.parent / "docs" / "benchmarks.md"
 HEAD = """# Benchmarks
 
+<!-- not run on this page: benchmarks take minutes to hours -->
+
 <!-- Written by benchmarks/page.py. Change the records or the script, not this page. -->
 
 Each section shows the output of one benchmark with its date, git revision (`+`: with changes), and
