@@ -30,12 +30,13 @@ from ranges_files import (
 from pytest_twin.metrics.envelope import coverage_interval, envelope, is_inside
 from pytest_twin.ranges.check import assess, predict_envelopes
 from pytest_twin.ranges.distribution import Coordinate
-from pytest_twin.ranges.gather import collect_uncertain_parameters
+from pytest_twin.ranges.gather import UncertainParameters, collect_uncertain_parameters
 from pytest_twin.ranges.recordings import read_check_recordings
 from pytest_twin.ranges.run import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots
-from pytest_twin.realization import load
+from pytest_twin.realization import Realization, load
 from pytest_twin.replay import replay
+from pytest_twin.trial import Trial
 from pytest_twin.twin import load_twin
 
 
@@ -59,13 +60,19 @@ def test_the_envelope_contains_the_stated_share_of_new_traces() -> None:
     assert coverage_interval(1.0, 10.0)[0] == pytest.approx(0.025 ** (1 / 10), abs=1e-6)
 
 
-def test_a_robot_with_mean_parameters_moves_like_the_replay_of_the_twin(tmp_path: Path) -> None:
-    twin = load_twin(make_twin(tmp_path, [record(covariance())]))
-    record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
+def recorded_arm(folder: Path) -> tuple[Realization, UncertainParameters, Trial]:
+    """The arm, its uncertain parameters, and a recording of its motion with the mean ones."""
+    twin = load_twin(make_twin(folder, [record(covariance())]))
+    record_motion(folder / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
     robot = load(twin.first_realization.file, twin=twin)
     found = collect_uncertain_parameters(twin, robot, None)
-    final = [tmp_path / "a.mcap"]
+    final = [folder / "a.mcap"]
     trial = read_check_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
+    return robot, found, trial
+
+
+def test_a_robot_with_mean_parameters_moves_like_the_replay_of_the_twin(tmp_path: Path) -> None:
+    robot, found, trial = recorded_arm(tmp_path)
     robots = VariedRobots(robot, None, found.distribution.coordinates, found.bodies, 2**32)
     means = np.array([[one.mean for one in found.distribution.coordinates]])
     (traces,) = robots.simulate([trial], means)
@@ -76,12 +83,7 @@ def test_a_robot_with_mean_parameters_moves_like_the_replay_of_the_twin(tmp_path
 def test_robots_that_do_not_fit_in_memory_are_simulated_in_batches_at_fewer_samples(
     tmp_path: Path,
 ) -> None:
-    twin = load_twin(make_twin(tmp_path, [record(covariance())]))
-    record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
-    robot = load(twin.first_realization.file, twin=twin)
-    found = collect_uncertain_parameters(twin, robot, None)
-    final = [tmp_path / "a.mcap"]
-    trial = read_check_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
+    robot, found, trial = recorded_arm(tmp_path)
     draws = found.distribution.draws(24, 5)
     little, enough = (
         VariedRobots(robot, None, found.distribution.coordinates, found.bodies, memory)
@@ -98,12 +100,7 @@ def test_robots_that_do_not_fit_in_memory_are_simulated_in_batches_at_fewer_samp
 
 def test_a_drawn_robot_moves_like_a_compiled_model_with_its_values(tmp_path: Path) -> None:
     """The model is compiled with the drawn mass, centre, inertia, friction and armature."""
-    twin = load_twin(make_twin(tmp_path, [record(covariance())]))
-    record_motion(tmp_path / "a.mcap", true_arm(MEANS), np.random.default_rng(0), seconds=2.0)
-    robot = load(twin.first_realization.file, twin=twin)
-    found = collect_uncertain_parameters(twin, robot, None)
-    final = [tmp_path / "a.mcap"]
-    trial = read_check_recordings(twin, robot, final, [], twin.recordings, twin.topics).final[0]
+    robot, found, trial = recorded_arm(tmp_path)
     robots = VariedRobots(robot, None, found.distribution.coordinates, found.bodies, 2**32)
     draws = found.distribution.draws(3, 5)
     (traces,) = robots.simulate([trial], draws)
