@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from pytest_twin import __version__
 from pytest_twin.commands import json_output, terminal
 from pytest_twin.commands.help import UNUSABLE_INPUT, Parser, did_you_mean, epilog, options_of
-from pytest_twin.commands.model_files import declared_folders
+from pytest_twin.commands.model_files import declared_inputs
 from pytest_twin.errors import TwinError, of_system
-from pytest_twin.formats.declared_folders import declaring
+from pytest_twin.formats.declared_inputs import declaring
 from pytest_twin.interrupts import sigterm_as_interrupt
 from pytest_twin.systems import unsupported_system
 
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with (
             sigterm_as_interrupt(),
             json_output.text_stream(args),
-            declaring(declared_folders(args)),
+            declaring(declared_inputs(args)),
         ):
             status: int = args.run(args)
         json_output.write(args)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pytest_twin.cli import COMMANDS, main, parser
-from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.declared_inputs import declared_inputs
 
 # Commands without a model; those that read data have --root alone.
 NO_MODEL = {"completion", "effects", "intake", "rollback", "verify"}
@@ -31,7 +31,7 @@ def test_folders_are_declared_while_the_command_runs(
     seen = {}
 
     def run(args: object) -> int:
-        seen["here"] = declared_folders()
+        seen["here"] = declared_inputs()
         return 0
 
     monkeypatch.setattr("pytest_twin.commands.audit.run", run)
@@ -44,4 +44,4 @@ def test_folders_are_declared_while_the_command_runs(
     )
     assert seen["here"].roots == (tmp_path, tmp_path / "elsewhere.urdf")
     assert seen["here"].packages == {"arm": tmp_path / "mine"}
-    assert declared_folders().roots == ()
+    assert declared_inputs().roots == ()

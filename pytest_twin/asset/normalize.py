@@ -22,8 +22,9 @@ from pytest_twin.asset.changes import Change, Flag
 from pytest_twin.asset.collada import stated_up_axis
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
 from pytest_twin.formats import atomic, xml
+from pytest_twin.formats.declared_inputs import expansion_of
 from pytest_twin.formats.digest import bytes_sha256
-from pytest_twin.formats.expansions import expansion_of, model_stem
+from pytest_twin.formats.expansions import model_stem
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.realization import gltf, inertia, mesh, urdf, urdf_orientation
 from pytest_twin.realization.files.locate import ModelFolders, locate

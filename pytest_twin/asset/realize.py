@@ -21,8 +21,8 @@ from pytest_twin.asset.loss.matrix import Conversion, Matrix
 from pytest_twin.asset.normalize import Normalized, normalize
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
-from pytest_twin.formats.declared_folders import declared_folders
-from pytest_twin.formats.expansions import EXPANDED, expansion_of
+from pytest_twin.formats.declared_inputs import declared_inputs, expansion_of
+from pytest_twin.formats.expansions import EXPANDED
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import (
     inertia,
@@ -82,9 +82,9 @@ def realize(
         told.node.attributes.get("name", path.stem), path.name, tuple(c for c, _ in forms)
     )
     command: tuple[str, ...] = ("pytest-twin", "realize", path.name, "--out", "DIR")
-    for name in sorted(declared_folders().packages):
+    for name in sorted(declared_inputs().packages):
         command += ("--package", f"{name}=FOLDER")
-    command += ("--root", "FOLDER") * len(declared_folders().roots)
+    command += ("--root", "FOLDER") * len(declared_inputs().roots)
     for patch in sorted(accept):
         command += ("--accept", patch)
     expansion = expansion_of(path)

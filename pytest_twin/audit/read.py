@@ -9,7 +9,7 @@ from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.finding import Finding, Place
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import xml
-from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.declared_inputs import declared_inputs
 from pytest_twin.realization.files.locate import ModelFolders, locate
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
@@ -29,7 +29,7 @@ def read(path: Path, located: ModelFolders | None = None) -> Asset:
     if path.suffix.lower() in USD_SUFFIXES:
         from pytest_twin.audit.read_usd import read as read_stage
 
-        roots = declared_folders().roots if located is None else located.roots.folders
+        roots = declared_inputs().roots if located is None else located.roots.folders
         return read_stage(path, roots)
     tag = xml.parse(path).tag
     if tag == "robot":

@@ -15,7 +15,7 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic, results, yaml
-from pytest_twin.formats.declared_folders import DeclaredFolders, declared_folders, declaring
+from pytest_twin.formats.declared_inputs import DeclaredInputs, declared_inputs, declaring
 from pytest_twin.formats.file_names import portable_name
 from pytest_twin.gate.failure_diagnosis import REPORT_FILE
 from pytest_twin.realization.executor import Dask, Executor, Forks
@@ -75,7 +75,7 @@ class Options:
     out: Path
     threads: int = 0
     arguments: Mapping[str, Any] = field(default_factory=dict)
-    declared: DeclaredFolders = field(default_factory=DeclaredFolders)
+    declared: DeclaredInputs = field(default_factory=DeclaredInputs)
 
 
 def read_fleet(path: Path) -> list[Robot]:
@@ -177,9 +177,7 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
     threads = max(1, usable_cores() // jobs) if args.scheduler is None else 1
     # It describes the robots' folders, which are replaced one by one.
     results.withdraw(out, FLEET_FILE)
-    outcomes = diagnose_fleet(
-        robots, Options(out, threads, arguments, declared_folders()), executor
-    )
+    outcomes = diagnose_fleet(robots, Options(out, threads, arguments, declared_inputs()), executor)
     said = {
         "schema": 1,
         "robots": {

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from pytest_twin.errors import SpecError
-from pytest_twin.formats.declared_folders import DeclaredFolders
+from pytest_twin.formats.declared_inputs import DeclaredInputs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +36,7 @@ def add_root(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def declared_folders(args: argparse.Namespace) -> DeclaredFolders:
+def declared_inputs(args: argparse.Namespace) -> DeclaredInputs:
     """Return the folders of the two options, and the files and folders that the user named.
 
     Raises:
@@ -56,7 +56,7 @@ def declared_folders(args: argparse.Namespace) -> DeclaredFolders:
             raise SpecError("no such folder", where="--root", value=root, expected="a folder")
     # Who names a link on the command line means the file behind it.
     named = [path for path in _paths(vars(args).values()) if path.is_symlink()]
-    return DeclaredFolders(tuple(path.resolve() for path in (*roots, *named)), packages)
+    return DeclaredInputs(tuple(path.resolve() for path in (*roots, *named)), packages)
 
 
 def _paths(values: Iterable[object]) -> Iterator[Path]:

@@ -7,11 +7,13 @@ import importlib.util
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
-from pytest_twin.formats.expansions import SUFFIX, Expansion, reading_expanded
+from pytest_twin.formats.declared_inputs import declared_inputs, declaring
+from pytest_twin.formats.expansions import SUFFIX, Expansion
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.confinement import why_not_confined
 from pytest_twin.realization.sandbox import Sandbox
@@ -39,7 +41,7 @@ def expanded(path: Path, args: argparse.Namespace) -> Iterator[Expansion | None]
     """Read a xacro file as the URDF that it expands to, while the context is open.
 
     Args:
-        path: absolute path of a model; anything but a xacro file stays as it is.
+        path: absolute path of a model; any other file is read as it is.
         args: arguments of the command.
 
     Raises:
@@ -80,7 +82,7 @@ def expanded(path: Path, args: argparse.Namespace) -> Iterator[Expansion | None]
             f"{command(path, arguments).replace('--', '- -')} -->\n{answer['text']}\n",
         )
         expansion = Expansion(path, urdf, tuple(map(Path, answer["read"])), arguments)
-        with reading_expanded(expansion):
+        with declaring(replace(declared_inputs(), expansion=expansion)):
             yield expansion
 
 

@@ -1,4 +1,4 @@
-"""Folders that the user declares on the command line: ``--root`` and ``--package``.
+"""Inputs that the command line declares: ``--root``, ``--package``, an expanded xacro file.
 
 They hold for everything that the command reads, in its child processes too: models with their
 meshes, recordings, images, records.
@@ -12,25 +12,31 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.formats.expansions import Expansion
+
 
 @dataclass(frozen=True, slots=True)
-class DeclaredFolders:
-    """Folders from which files may be read, in addition to those of a model or a twin.
+class DeclaredInputs:
+    """Folders and files that a command may read, in addition to those of a model or a twin.
 
     Attributes:
         roots: absolute paths of folders, and of files that were named themselves.
         packages: ROS package -> its folder.
+        expansion: the xacro file that the command expanded; None without one.
     """
 
     roots: tuple[Path, ...] = ()
     packages: Mapping[str, Path] = field(default_factory=dict)
+    expansion: Expansion | None = None
 
     @staticmethod
-    def of(content: Mapping[str, Any]) -> DeclaredFolders:
+    def of(content: Mapping[str, Any]) -> DeclaredInputs:
         """Build the object from what :meth:`to_json` returned."""
-        return DeclaredFolders(
+        expansion = content["expansion"]
+        return DeclaredInputs(
             tuple(map(Path, content["roots"])),
             {name: Path(folder) for name, folder in content["packages"].items()},
+            None if expansion is None else Expansion.of(expansion),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -38,22 +44,29 @@ class DeclaredFolders:
         return {
             "roots": [str(root) for root in self.roots],
             "packages": {name: str(folder) for name, folder in self.packages.items()},
+            "expansion": None if self.expansion is None else self.expansion.to_json(),
         }
 
 
-_declared = DeclaredFolders()
+_declared = DeclaredInputs()
 
 
-def declared_folders() -> DeclaredFolders:
-    """Folders that the command in progress declares."""
+def declared_inputs() -> DeclaredInputs:
+    """Inputs that the command in progress declares."""
     return _declared
 
 
+def expansion_of(path: Path) -> Expansion | None:
+    """The expansion of a file; None for every file that was not expanded."""
+    expansion = _declared.expansion
+    return expansion if expansion is not None and expansion.source == path else None
+
+
 @contextmanager
-def declaring(folders: DeclaredFolders) -> Iterator[None]:
-    """Declare folders for this process while the context is open."""
+def declaring(inputs: DeclaredInputs) -> Iterator[None]:
+    """Declare inputs for this process while the context is open."""
     global _declared
-    before, _declared = _declared, folders
+    before, _declared = _declared, inputs
     try:
         yield
     finally:

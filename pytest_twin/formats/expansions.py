@@ -1,12 +1,8 @@
-"""Xacro files that a command expanded: whoever parses one reads the URDF that came out.
-
-They hold for this process, and for its children, while the context is open.
-"""
+"""Xacro files that a command expanded: whoever parses one reads the URDF that came out."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,30 +48,6 @@ class Expansion:
         }
 
 
-_current: Expansion | None = None
-
-
-def current_expansion() -> Expansion | None:
-    """The xacro file that the command in progress expanded."""
-    return _current
-
-
-def expansion_of(path: Path) -> Expansion | None:
-    """The expansion of a file; None for every file that was not expanded."""
-    return _current if _current is not None and _current.source == path else None
-
-
 def model_stem(path: Path) -> str:
     """Name of a model without its suffixes: ``arm`` of ``arm.urdf.xacro``."""
     return Path(path.name.removesuffix(SUFFIX)).stem if path.suffix == SUFFIX else path.stem
-
-
-@contextmanager
-def reading_expanded(expansion: Expansion | None) -> Iterator[None]:
-    """Read a xacro file as its expansion while the context is open."""
-    global _current
-    before, _current = _current, expansion
-    try:
-        yield
-    finally:
-        _current = before

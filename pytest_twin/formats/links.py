@@ -1,7 +1,8 @@
 """Links to files that may be followed: those that end in the same store, or where a user allows it.
 
-Data managers keep a file's content in a store beside the files and put a link in its place.
-Following such a link reads nothing that the folder's owner could not have put there as a file.
+git-annex, DVC and the Hugging Face cache keep the content of files in a store, and a link to it
+where each file belongs. Who made the folder could have put the file itself there, so following such
+a link reads nothing more.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.declared_inputs import declared_inputs
 
 _DVC_CONTENT = re.compile(r"(files/md5/)?[0-9a-f]{2}/[0-9a-f]{30}(\.dir)?")
 """Name of a file in a DVC cache: its digest. A configuration may name any folder as the cache, so
@@ -27,7 +28,7 @@ def allowed_end(link: Path, target: Path) -> Path | None:
         link: the link; its folder contains no link.
         target: where it ends, with all links resolved.
     """
-    places = (*declared_folders().roots, *declared_folders().packages.values(), *stores(link))
+    places = (*declared_inputs().roots, *declared_inputs().packages.values(), *stores(link))
     for place in places:
         if target.is_relative_to(place):
             return place

@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 from pytest_twin.errors import FormatError, LimitError, PathError, PointerError
 from pytest_twin.formats import limits
-from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.declared_inputs import declared_inputs
 from pytest_twin.formats.links import allowed_end
 
 _POINTER, _POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 1024
@@ -41,7 +41,7 @@ class Roots:
     @property
     def folders(self) -> tuple[Path, ...]:
         """Return all roots with links resolved, the base first, those of the command line last."""
-        named = declared_folders()
+        named = declared_inputs()
         return (self.base, *self.extra, *named.roots, *named.packages.values())
 
     def contains(self, path: Path) -> bool:

@@ -13,8 +13,8 @@ from lxml import etree
 
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
+from pytest_twin.formats.declared_inputs import expansion_of
 from pytest_twin.formats.digest import bytes_sha256
-from pytest_twin.formats.expansions import expansion_of
 from pytest_twin.formats.paths import read_bytes
 
 Element: TypeAlias = etree._Element

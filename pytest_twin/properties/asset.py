@@ -162,13 +162,13 @@ def _of_urdf(
     accept: list[str],
 ) -> Asset:
     from pytest_twin.asset.normalize import normalize
-    from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
+    from pytest_twin.formats.declared_inputs import DeclaredInputs, declaring
     from pytest_twin.realization.files.locate import locate
     from pytest_twin.realization.usd import UsdMissingError
 
     left_out: list[str] = []
     with temporary_folder() as folder:
-        with declaring(DeclaredFolders(packages=packages)):
+        with declaring(DeclaredInputs(packages=packages)):
             located = locate(path)
         made = normalize(path, folder, located=located, accept=accept)
         for flag in made.flags:

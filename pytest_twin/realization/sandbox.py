@@ -23,8 +23,7 @@ from typing import Any, Self
 
 from pytest_twin import errors
 from pytest_twin.errors import LimitError, SimulationError, TwinError
-from pytest_twin.formats.declared_folders import declared_folders
-from pytest_twin.formats.expansions import current_expansion
+from pytest_twin.formats.declared_inputs import declared_inputs
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.confinement import confined_command, confined_environment
 from pytest_twin.realization.import_path import import_path
@@ -118,13 +117,11 @@ class Sandbox:
             self._output = b""
             if self._child is None:
                 self._child = _Child(self)
-            expansion = current_expansion()
             request = {
                 "function": function,
                 "arguments": dict(arguments or {}),
                 "seconds": bound,
-                "declared": declared_folders().to_json(),
-                "expansion": None if expansion is None else expansion.to_json(),
+                "declared": declared_inputs().to_json(),
             }
             try:
                 answer = self._exchange(self._child, request, bound, progress, tell)

@@ -23,8 +23,7 @@ from pytest_twin.errors import (
     TwinError,
     cannot_write,
 )
-from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
-from pytest_twin.formats.expansions import Expansion, reading_expanded
+from pytest_twin.formats.declared_inputs import DeclaredInputs, declaring
 
 
 def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
@@ -63,11 +62,7 @@ def _send(answers: BinaryIO, answer: Mapping[str, Any]) -> None:
 def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
     _bound_cpu(request["seconds"])
     try:
-        expansion = request["expansion"]
-        with (
-            declaring(DeclaredFolders.of(request["declared"])),
-            reading_expanded(None if expansion is None else Expansion.of(expansion)),
-        ):
+        with declaring(DeclaredInputs.of(request["declared"])):
             result = _call(request["function"], request["arguments"], answers)
         json.dumps(result)
         return {"result": result}

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import xml
-from pytest_twin.formats.expansions import SUFFIX, expansion_of, model_stem
+from pytest_twin.formats.declared_inputs import expansion_of
+from pytest_twin.formats.expansions import SUFFIX, model_stem
 from pytest_twin.realization import inertia, urdf_orientation
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node

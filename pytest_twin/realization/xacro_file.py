@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
-from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.declared_inputs import declared_inputs
 from pytest_twin.formats.links import stores
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.realization.files.packages import Packages
@@ -32,7 +32,7 @@ def readable_folders(path: Path, environment: Mapping[str, str]) -> list[Path]:
     They are those in which the packages of a model are searched, and those in which their links may
     end, such as the sources of a workspace.
     """
-    declared = declared_folders()
+    declared = declared_inputs()
     named = [
         Path(entry)
         for variable in ROS_VARIABLES
@@ -69,7 +69,7 @@ def expand(
     import xacro
 
     path = Path(source)
-    declared = declared_folders()
+    declared = declared_inputs()
     above = [folder.path for folder in inside(folders_above(path))]
     packages = Packages(above, declared.roots, declared.packages, environment=environment)
     failed: list[PathError] = []
@@ -96,8 +96,8 @@ def _package_index(
     """The module of ROS that xacro asks for the folder of a package, with our search."""
 
     def get_package_share_directory(name: str) -> str:
-        found = packages.find(name, "")
-        if found is None:
+        package = packages.find(name, "")
+        if package is None:
             failed.append(
                 PathError(
                     f"package '{name}' is not found",
@@ -108,7 +108,7 @@ def _package_index(
                 )
             )
             raise failed[-1]
-        return str(found.folder)
+        return str(package.folder)
 
     top = types.ModuleType("ament_index_python")
     inner = types.ModuleType("ament_index_python.packages")

@@ -14,7 +14,7 @@ from audited import CLEAN, changed, line_of, write_clean
 from pytest_twin.audit.run import audit_file
 from pytest_twin.cli import main
 from pytest_twin.errors import TwinError
-from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
+from pytest_twin.formats.declared_inputs import DeclaredInputs, declaring
 from pytest_twin.report.audit import table
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
@@ -253,7 +253,7 @@ def test_a_package_folder_can_be_given(tmp_path: Path) -> None:
     lost = audit_file(str(path))
     assert [row["code"] for row in lost["findings"][:1]] == ["meshes.missing"]
     assert "package 'arm_meshes' is not found" in lost["findings"][0]["title"]
-    with declaring(DeclaredFolders(packages={"arm_meshes": folder})):
+    with declaring(DeclaredInputs(packages={"arm_meshes": folder})):
         found = audit_file(str(path))
     assert found["counts"]["critical"] == 0
     assert found["meshes"][0]["file"] == str(folder / "bar.stl")

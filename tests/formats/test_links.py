@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pytest_twin.errors import PathError, PointerError
-from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
+from pytest_twin.formats.declared_inputs import DeclaredInputs, declaring
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.paths import Roots, open_regular, read_bytes
 
@@ -136,7 +136,7 @@ def test_a_link_that_ends_elsewhere_is_refused_with_the_option(escape, tmp_path:
     with pytest.raises(PathError, match="leaves the declared roots") as caught:
         Roots(link.parent).resolve(link.name, at=link.parent / "robot.urdf")
     assert option in str(caught.value)
-    with declaring(DeclaredFolders((link.resolve().parent,))):
+    with declaring(DeclaredInputs((link.resolve().parent,))):
         assert read_bytes(link, 100) == CONTENT
     with pytest.raises(PathError):
         read_bytes(link, 100)

@@ -40,7 +40,7 @@ def test_files_inside_the_root_are_found(twin: Path, reference: str) -> None:
     assert resolve(twin, str(twin / reference)) == twin / "meshes" / "a.stl"
 
 
-def test_declared_folders_outside_the_twin_are_roots_too(twin: Path) -> None:
+def test_declared_inputs_outside_the_twin_are_roots_too(twin: Path) -> None:
     shared = twin.parent / "shared"
     assert resolve(twin, "../shared/b.stl", shared) == shared / "b.stl"
     assert resolve(twin, str(shared / "b.stl"), shared) == shared / "b.stl"

@@ -8,7 +8,7 @@ import pytest
 from test_mjcf_loading import binary_stl
 
 from pytest_twin.errors import PathError, TwinError
-from pytest_twin.formats.declared_folders import DeclaredFolders, declaring
+from pytest_twin.formats.declared_inputs import DeclaredInputs, declaring
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import load
 from pytest_twin.realization.files.locate import ModelFolders, locate
@@ -43,7 +43,7 @@ def stl(path: Path) -> Path:
 
 
 def loaded(path: Path, **named: object) -> ModelFolders:
-    with declaring(DeclaredFolders(**named)):  # type: ignore[arg-type]
+    with declaring(DeclaredInputs(**named)):  # type: ignore[arg-type]
         realization = load(path)
     assert realization.model.nmesh == 1
     located = realization.source.located

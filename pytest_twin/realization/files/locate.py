@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_twin.errors import PathError
 from pytest_twin.formats import xml
-from pytest_twin.formats.declared_folders import declared_folders
+from pytest_twin.formats.declared_inputs import declared_inputs
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization import mjcf
 from pytest_twin.realization.files.packages import BY_NAME_ABOVE, Packages
@@ -78,7 +78,7 @@ def locate(
         FormatError: the file is not well-formed XML.
         LimitError: the file is larger than a limit.
     """
-    search = declared_folders()
+    search = declared_inputs()
     declared = {} if twin is None else twin.roots
     if twin is not None and roots is None:
         roots = twin.path_roots
