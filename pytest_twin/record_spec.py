@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+RESULTS_WITH_MODELS = ("diagnosis.json", "identification.json")
+"""Results of commands that write a fitted model into the folder ``realization`` beside them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Unaffected:

@@ -26,7 +26,7 @@ from pytest_twin.formats.result_record import ResultRecord, read_result_record
 from pytest_twin.formats.schema import validate
 from pytest_twin.installed import entry_points_by_name
 from pytest_twin.ranges_spec import RangesSpec, TrialGroup
-from pytest_twin.record_spec import Unaffected, unaffected_of
+from pytest_twin.record_spec import RESULTS_WITH_MODELS, Unaffected, unaffected_of
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 
 FILE_NAME = "twin.yaml"
@@ -36,8 +36,6 @@ EFFECTS_FILE = "effects.json"
 """File next to a model that a diagnosis wrote: effects that MJCF cannot express."""
 # Model files in the folder of a diagnosis; the first that exists is used.
 _DIAGNOSIS_MODELS = ("realization/model.xml", "model.xml")
-_RESULTS_WITH_MODELS = ("diagnosis.json", "identification.json")
-"""Results of commands that write a model into a folder beside them."""
 DEFAULT_TOPICS: Mapping[str, str] = {"state": "/joint_states", "command": "/joint_commands"}
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
@@ -997,7 +995,7 @@ def _record_of_model(model: Path) -> ResultRecord | None:
     """The result beside a model that a diagnosis or identification wrote, or None."""
     if effects_file_next_to(model) is None:
         return None
-    for name in _RESULTS_WITH_MODELS:
+    for name in RESULTS_WITH_MODELS:
         path = model.parent.parent / name
         if path.is_file():
             return read_result_record(path)

@@ -9,14 +9,12 @@ from typing import Any
 
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
-from pytest_twin.commands.release_folder import TWIN_HELP
+from pytest_twin.commands.release_folder import TWIN_HELP, twin_file
 from pytest_twin.commands.terminal import show
-from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import budget
 from pytest_twin.report.text import printable
-from pytest_twin.twin import FILE_NAME
 
 HELP = "write the error budget of a twin: how far each measured uncertainty moves the task's frame"
 EXAMPLES = (
@@ -46,9 +44,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: a twin, record or recording cannot be used.
     """
-    twin: Path = args.twin / FILE_NAME if args.twin.is_dir() else args.twin
-    if not twin.is_file():
-        raise PathError("no such file", path=twin, expected=f"a {FILE_NAME}, or its folder")
+    twin = twin_file(args.twin)
     out: Path = args.out
     with (
         results.result_folder(out, JSON_NAME) as staging,

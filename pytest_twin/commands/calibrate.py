@@ -12,7 +12,6 @@ from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
-from pytest_twin.interrupts import first_interrupt
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import calibration
 from pytest_twin.words import counted
@@ -93,16 +92,11 @@ def run(args: argparse.Namespace) -> int:
     if not plan.is_file():
         raise PathError("no such file", path=plan, expected="a calibration plan (.yaml)")
     out: Path = args.out
-
-    def stop() -> None:
-        sandbox.interrupt()
-        progress.tell("line", "stopping: the best values so far are written; Ctrl-C again aborts")
-
     with (
         results.result_folder(out, FILE_NAME) as staging,
         Sandbox(seconds=_MOST_SECONDS) as sandbox,
         Progress("calibrating") as progress,
-        first_interrupt(stop),
+        progress.stopping_early(sandbox, "the best values so far are written"),
     ):
         document = sandbox.call(
             "pytest_twin.calibration.run:calibrate_file",

@@ -24,7 +24,6 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
-from pytest_twin.interrupts import first_interrupt
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
@@ -174,20 +173,13 @@ def diagnose_into(
         TwinError: the input cannot be used.
     """
     found = find_model(model)
-
-    def stop() -> None:
-        sandbox.interrupt()
-        if progress is not None:
-            progress.tell(
-                "line", "stopping: the best result so far is written; Ctrl-C again aborts"
-            )
-
+    written = "the best result so far is written"
     with (
         results.result_folder(out, DIAGNOSIS_FILE, alone=True) as staging,
         # The simulator writes its log to the working folder, so use one that is deleted.
         temporary_folder() as scratch,
         Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox,
-        contextlib.nullcontext() if progress is None else first_interrupt(stop),
+        contextlib.nullcontext() if progress is None else progress.stopping_early(sandbox, written),
     ):
         summary: dict[str, Any] = sandbox.call(
             "pytest_twin.commands.diagnose:diagnose_files",

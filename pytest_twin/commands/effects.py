@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         if name not in effects:
             raise TwinError(
                 f"there is no effect {name!r}{did_you_mean(name, effects)}",
-                expected="a name that pytest-twin effects lists",
+                expected="a name from the list of pytest-twin effects",
             )
     if not args.names:
         json_output.give(args, as_json(effects))

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from pytest_twin.interrupts import first_interrupt
 from pytest_twin.report.progress_log import ProgressLog
 from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
+
+    from pytest_twin.realization.sandbox import Sandbox
 
 _LOOK_SECONDS = 1.0
 """Time between two updates."""
@@ -89,6 +93,22 @@ class Progress:
             self._live.console.print(printable(text), markup=False, highlight=False)
         else:
             print(printable(text), file=sys.stderr, flush=True)
+
+    @contextlib.contextmanager
+    def stopping_early(self, sandbox: Sandbox, written: str) -> Iterator[None]:
+        """Context in which the first interrupt ends the work of a child process early.
+
+        Args:
+            sandbox: the child process, whose function handles the interrupt.
+            written: what is written then.
+        """
+
+        def stop() -> None:
+            sandbox.interrupt()
+            self.tell("line", f"stopping: {written}; Ctrl-C again aborts")
+
+        with first_interrupt(stop):
+            yield
 
     def _stage(self) -> str:
         stage = next((name for start, name in reversed(self._stages) if self._done >= start), "")

@@ -14,15 +14,13 @@ from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
     recording_options,
 )
-from pytest_twin.commands.release_folder import TWIN_HELP
+from pytest_twin.commands.release_folder import TWIN_HELP, twin_file
 from pytest_twin.commands.terminal import show
-from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
 from pytest_twin.ranges.files import write_files
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import ranges
 from pytest_twin.report.text import printable
-from pytest_twin.twin import FILE_NAME
 
 HELP = "write randomization ranges of a twin from its records, and check them on final recordings"
 EXAMPLES = (
@@ -122,9 +120,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: a twin, record or recording cannot be used.
     """
-    twin: Path = args.twin / FILE_NAME if args.twin.is_dir() else args.twin
-    if not twin.is_file():
-        raise PathError("no such file", path=twin, expected=f"a {FILE_NAME}, or its folder")
+    twin = twin_file(args.twin)
     out: Path = args.out
     with (
         results.result_folder(out, JSON_NAME) as staging,

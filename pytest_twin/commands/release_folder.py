@@ -5,11 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 
 from pytest_twin import release
-from pytest_twin.errors import ReleaseError
+from pytest_twin.errors import PathError, ReleaseError
 from pytest_twin.twin import FILE_NAME
 
 TWIN_HELP = "twin.yaml or its folder"
 RELEASE_HELP = "folder of a release, or of a twin for its newest release"
+
+
+def twin_file(given: Path) -> Path:
+    """Return the ``twin.yaml`` in a folder, or the given file.
+
+    Raises:
+        PathError: no such file.
+    """
+    file = given / FILE_NAME if given.is_dir() else given
+    if not file.is_file():
+        raise PathError("no such file", path=file, expected=f"a {FILE_NAME}, or its folder")
+    return file
 
 
 def twin_folder(given: Path) -> Path:

@@ -8,9 +8,7 @@ or removed, and only unchanged. What users add or edit stays.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
-import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,8 +51,8 @@ def result_folder(
     Args:
         folder: folder of the result, which is created if it is missing.
         main: name of the main file, which identifies the result in its folder.
-        replaceable: names that the user stated on the command line, which are replaced whoever
-            wrote them.
+        replaceable: files that the user named on the command line. They are replaced, also if
+            somebody else wrote them.
         stays: folder in it whose files of earlier results are not removed.
         alone: whether a folder with files of others and without an earlier result is refused.
 
@@ -64,7 +62,7 @@ def result_folder(
     """
     folder = folder.absolute()
     with atomic.folder_in_use(folder):
-        with _locked(folder):
+        with temporary.exclusive(folder):
             finish(folder)
             written = _read(folder)
             _old_files(folder, written, main, stays)
@@ -76,7 +74,7 @@ def result_folder(
             new = staging / file_set.NEW
             new.mkdir()
             yield new
-            with _locked(folder):
+            with temporary.exclusive(folder):
                 finish(folder)
                 _put_in_place(folder, staging, main, replaceable, stays)
 
@@ -106,7 +104,7 @@ def withdraw(folder: Path, main: str) -> None:
     """
     if not folder.is_dir():
         return
-    with _locked(folder):
+    with temporary.exclusive(folder):
         finish(folder)
         old = _old_files(folder, _read(folder), main)
         try:
@@ -184,19 +182,6 @@ def _check_empty(folder: Path) -> None:
                 path=folder,
                 expected="a new folder for --out, or that of an earlier result of this command",
             )
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Let one process at a time change the results of a folder."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        # Some network file systems have no locks.
-        with contextlib.suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _read(folder: Path) -> dict[str, _Written]:

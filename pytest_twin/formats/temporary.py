@@ -98,6 +98,21 @@ def locked(folder: Path) -> Iterator[bool]:
         yield _try_lock(descriptor) is not False
 
 
+@contextlib.contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Context that one process at a time has for a folder; the others wait.
+
+    Raises:
+        OSError: the folder cannot be opened.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    with _closing(descriptor):
+        # Some network file systems have no locks.
+        with contextlib.suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+
+
 def remove(path: Path) -> None:
     """Remove a file or a folder as far as the system allows."""
     if path.is_dir() and not path.is_symlink():

@@ -297,7 +297,7 @@ def _models_of(record: Path, twin: Twin) -> tuple[str, ...]:
     )
 
 
-def model_of(basis: Basis, record: Record, twin: Twin) -> str | Path | None:
+def model_of_basis(basis: Basis, record: Record, twin: Twin) -> str | Path | None:
     """Realization that a record was made with, or the path of another model, or None.
 
     A realization is found by its file, or by the file's name where the record was moved. The model
@@ -326,7 +326,7 @@ def _with_changed_inputs(
     record, notes = state.record, list[str]()
     assert record.basis is not None
     basis = Basis.from_json(record.basis, record.path)
-    model = model_of(basis, record, twin)
+    model = model_of_basis(basis, record, twin)
     found: list[InputChange] = []
     if model is None and basis.model:
         notes.append(

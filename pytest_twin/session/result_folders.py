@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pytest_twin.record_spec import RESULTS_WITH_MODELS
+
 _EFFECTS_FILE = "effects.json"
 _REALIZATION = "realization"
-_RESULTS = ("diagnosis.json", "identification.json")
-"""Results of commands that write a fitted model, into the folder ``realization`` next to them."""
 
 
 def is_fitted_model(twin_file: Path) -> bool:
@@ -19,5 +19,5 @@ def is_fitted_model(twin_file: Path) -> bool:
     if (folder / _EFFECTS_FILE).is_file():
         return True
     return folder.name == _REALIZATION and any(
-        (folder.parent / name).is_file() for name in _RESULTS
+        (folder.parent / name).is_file() for name in RESULTS_WITH_MODELS
     )
