@@ -52,13 +52,13 @@ def doubt_of_order(realization: Realization, trial: Trial) -> str | None:
 
 def _orders(joints: tuple[str, ...]) -> list[tuple[str, ...]]:
     """The assumed order, and others to test."""
-    found = [joints, tuple(sorted(joints)), joints[::-1]]
+    orders = [joints, tuple(sorted(joints)), joints[::-1]]
     if len(joints) <= _MOST_JOINTS:
         for first, second in itertools.combinations(range(len(joints)), 2):
             order = list(joints)
             order[first], order[second] = order[second], order[first]
-            found.append(tuple(order))
-    return list(dict.fromkeys(found))
+            orders.append(tuple(order))
+    return list(dict.fromkeys(orders))
 
 
 def _in_order(trial: Trial, order: Sequence[str]) -> Trial:

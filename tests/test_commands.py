@@ -54,7 +54,7 @@ def test_an_unknown_effect_is_refused_in_one_line(capsys: pytest.CaptureFixture[
     assert cli.main(["effects", "baklash"]) == 2
     assert capsys.readouterr().err == (
         "pytest-twin effects: there is no effect 'baklash'; did you mean 'backlash'? "
-        "(expected a name that pytest-twin effects lists)\n"
+        "(expected a name from the list of pytest-twin effects)\n"
     )
 
 

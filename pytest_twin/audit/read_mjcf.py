@@ -173,8 +173,8 @@ class _Nodes:
             body: its name.
             place: its place, where it is known.
         """
-        place = place or self.place("body", body)
-        return self.inertials.get((place.path, place.line), place)
+        body_place = place or self.place("body", body)
+        return self.inertials.get((body_place.path, body_place.line), body_place)
 
 
 def _bodies_of_text(root: Node, out: Asset) -> None:
@@ -246,8 +246,8 @@ class _Compiled:
 
     def place(self, kind: str, index: int) -> Place:
         """File and line of an element; those of the whole model where they are unknown."""
-        found = self.lines.get(kind, {}).get(index)
-        return found or self.nodes.place(kind, self.name(kind, index))
+        line_place = self.lines.get(kind, {}).get(index)
+        return line_place or self.nodes.place(kind, self.name(kind, index))
 
     def read(self) -> None:
         self._bodies()

@@ -58,9 +58,9 @@ def moved_body(problem: Problem, fit: Fit) -> InputMistake | None:
     rows = _whitened(problem, fit.state, fit)
     best: tuple[float, str, int, FloatArray] | None = None
     for name in names:
-        found = _step(rows, layout.blocks[f"pose:{name}"])
-        if found is not None and (best is None or found[0] > best[0]):
-            best = (found[0], name, found[1], found[2])
+        steps = _step(rows, layout.blocks[f"pose:{name}"])
+        if steps is not None and (best is None or steps[0] > best[0]):
+            best = (steps[0], name, steps[1], steps[2])
     if best is None:
         return None
     _, name, row, step = best
@@ -106,8 +106,8 @@ class _Rows:
 
 def _whitened(problem: Problem, state: State, fit: Fit) -> _Rows:
     residuals, slopes, rows, kinds = [], [], [], []
-    found = problem.residuals(state, np.zeros(fit.problem.layout.count))
-    for term, (residual, slope) in zip(problem.terms, found, strict=True):
+    of_terms = problem.residuals(state, np.zeros(fit.problem.layout.count))
+    for term, (residual, slope) in zip(problem.terms, of_terms, strict=True):
         size = np.array([fit.noise[name] for name in term.noise])
         residuals.append((residual / size).ravel())
         slopes.append((slope / size[:, None]).reshape(-1, slope.shape[2]))
@@ -138,9 +138,9 @@ def _step(rows: _Rows, pose: slice) -> tuple[float, int, FloatArray] | None:
         best: tuple[float, int, FloatArray, FloatArray] | None = None
         for row in there[LEAST_ROWS : len(there) - LEAST_ROWS + 1].tolist():
             later = np.where((rows.row >= row)[:, None], rows.slopes[:, pose], 0.0)
-            apart = later - basis @ (basis.T @ later)
-            step = -np.linalg.lstsq(apart, left, rcond=1e-9)[0]
-            rest = left + apart @ step
+            unexplained = later - basis @ (basis.T @ later)
+            step = -np.linalg.lstsq(unexplained, left, rcond=1e-9)[0]
+            rest = left + unexplained @ step
             if best is None or rest @ rest < best[0]:
                 best = (float(rest @ rest), row, step, rest)
         assert best is not None

@@ -25,8 +25,8 @@ GEOMETRY_ROTATION_RAD = 0.01
 """Prior standard deviation of an axis direction, 1 mm over a bearing seat of 0.1 m."""
 
 TARGET_TOLERANCE = 0.002
-"""Prior standard deviation of a target's size, relative to the stated one. Office printers scale a
-page by 0.1 to 0.5 % if they are told to print at full size."""
+"""Prior standard deviation of a target's size, relative to the stated one. A page that an
+office printer prints at full size is 0.1 to 0.5 % too small or too large."""
 
 QUATERNION_TOLERANCE = 0.02
 """Largest deviation of a quaternion's length from 1. With four decimals it stays below 1e-3."""

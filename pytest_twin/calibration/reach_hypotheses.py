@@ -31,7 +31,7 @@ def reach_hypotheses(fit: Fit, held: Problem, errors: Errors) -> list[dict[str, 
         errors: held-out errors of the fit.
     """
     before = float(np.mean(errors.translation**2))
-    found = []
+    causes = []
     for wider in arms(fit.problem):
         free, _ = hold_gauges(wider, fit.state)
         name = "geometry" if free.layout.links else "joint_zeros"
@@ -42,19 +42,21 @@ def reach_hypotheses(fit: Fit, held: Problem, errors: Errors) -> list[dict[str, 
         after = errors_of(replace(held, layout=other.problem.layout), other.state)
         after = after.only(np.isin(after.ids, errors.ids))
         share = 1.0 - float(np.mean(after.translation**2)) / before
-        found.append({"cause": name, "removes": share, "next_test": _TESTS[name]})
+        causes.append({"cause": name, "removes": share, "next_test": _TESTS[name]})
     along = float(np.sum(errors.in_base[:, 2] ** 2) / np.sum(errors.in_base**2))
-    found.append({"cause": "compliance", "along_gravity": along, "next_test": _TESTS["compliance"]})
+    causes.append(
+        {"cause": "compliance", "along_gravity": along, "next_test": _TESTS["compliance"]}
+    )
     if fit.problem.chain is None:
         # Flange poses do not say which joint is wrong.
-        found.insert(
+        causes.insert(
             0,
             {
                 "cause": "joint_zeros or geometry",
                 "next_test": "give robot: and columns joint.NAME, and add joint_zeros to estimate",
             },
         )
-    return sorted(found, key=lambda one: -float(one.get("removes", one.get("along_gravity", 1.0))))
+    return sorted(causes, key=lambda one: -float(one.get("removes", one.get("along_gravity", 1.0))))
 
 
 def hypotheses_in_words(hypotheses: list[dict[str, Any]]) -> str:

@@ -59,7 +59,7 @@ def without_repeats(
     if not first_of:
         return observations, ()
     _check_held_out(plan, observations, first_of)
-    kept = [row for row in range(len(observations)) if row not in first_of]
+    first_rows = [row for row in range(len(observations)) if row not in first_of]
     left_out = tuple(
         ExcludedMeasurement(
             observations.ids[row],
@@ -67,7 +67,7 @@ def without_repeats(
         )
         for row in sorted(first_of)
     )
-    return observations.rows(kept), left_out
+    return observations.rows(first_rows), left_out
 
 
 def _robot(observations: Observations) -> FloatArray | None:

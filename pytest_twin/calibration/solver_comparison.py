@@ -44,14 +44,14 @@ def better_solver(distances: Mapping[str, FloatArray]) -> BetterSolver | None:
     if not sizes or LEAST_SQUARES not in sizes:
         return None
     name = min(sizes, key=lambda one: sizes[one])
-    apart = distances[name] - distances[LEAST_SQUARES]
-    if name == LEAST_SQUARES or not (apart < 0.0).any():
+    difference = distances[name] - distances[LEAST_SQUARES]
+    if name == LEAST_SQUARES or not (difference < 0.0).any():
         return None
-    chance = float(wilcoxon(apart, alternative="less").pvalue) * (len(sizes) - 1)
+    chance = float(wilcoxon(difference, alternative="less").pvalue) * (len(sizes) - 1)
     words = (
         f"{name} has a smaller held-out error than least squares, {1e3 * sizes[name]:.3g} against "
-        f"{1e3 * sizes[LEAST_SQUARES]:.3g} mm; {int((apart < 0.0).sum())} of {len(apart)} "
-        "observations are nearer with it"
+        f"{1e3 * sizes[LEAST_SQUARES]:.3g} mm; {int((difference < 0.0).sum())} of "
+        f"{len(difference)} observations are nearer with it"
     )
     if chance < CHANCE:
         return BetterSolver(

@@ -53,12 +53,12 @@ class AssetAudit(Check):
         from pytest_twin.audit.run import findings_of
         from pytest_twin.checks.assumed_values import assumed_values
 
-        found = findings_of(realization.path, realization.source.located)
+        findings = findings_of(realization.path, realization.source.located)
         twin = realization.twin
         accepted = {} if twin is None else twin.accepted_findings
         critical = {
             name: f"{name}: {one.title}" + ("" if one.place is None else f" ({one.place})")
-            for name, one in found.items()
+            for name, one in findings.items()
             if one.severity == "critical"
         }
         progress(1.0)
@@ -70,7 +70,7 @@ class AssetAudit(Check):
                     finding: f"accepted by {one.owner}: {one.reason}"
                     for finding, one in accepted.items()
                 },
-                "counts": dict(Counter(one.severity for one in found.values())),
+                "counts": dict(Counter(one.severity for one in findings.values())),
             },
             notes=assumed_values(realization),
         )
@@ -79,18 +79,18 @@ class AssetAudit(Check):
         self, golden: Golden, observation: Observation, stored: Trace | None
     ) -> list[Measure]:
         """Return one measure for each critical finding, and one for their number."""
-        found = observation.values
-        critical, accepted = found["critical"], found["accepted"]
+        values = observation.values
+        critical, accepted = values["critical"], values["accepted"]
         left = [finding for finding in critical if finding not in accepted]
-        summary = f"{found['file']}: no critical finding"
+        summary = f"{values['file']}: no critical finding"
         if left:
             summary = (
-                f"{found['file']}: {counted(len(left), 'critical finding')} that nobody accepts, "
+                f"{values['file']}: {counted(len(left), 'critical finding')} that nobody accepts, "
                 f"such as {critical[left[0]]}"
             )
         elif critical:
             summary += f" besides {len(critical)} that the twin accepts"
-        counts = found["counts"]
+        counts = values["counts"]
         warnings = counted(counts.get("warning", 0), "warning")
         summary += f"; {warnings}, {counts.get('unknown', 0)} not stated"
         return [

@@ -113,7 +113,7 @@ class _DeclaredModules:
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Find a declared module; None for a name that is not in the function's folder.
+        """Find a module that the golden declares; None if the function's folder has no such name.
 
         Raises:
             SpecError: the folder has such a module, and the golden does not declare it.
@@ -153,10 +153,10 @@ class _DeclaredModules:
         )
 
     def _undeclared(self, name: str) -> Path | None:
-        place = self._folder.joinpath(*name.split("."))
+        module_path = self._folder.joinpath(*name.split("."))
         suffixes = importlib.machinery.all_suffixes()
-        candidates = [place / f"__init__{suffix}" for suffix in suffixes]
-        candidates += [place.with_name(f"{place.name}{suffix}") for suffix in suffixes]
+        candidates = [module_path / f"__init__{suffix}" for suffix in suffixes]
+        candidates += [module_path.with_name(f"{module_path.name}{suffix}") for suffix in suffixes]
         return next((path for path in candidates if path.is_file()), None)
 
 

@@ -67,8 +67,8 @@ class FoxgloveJointStates:
 
     def from_json(self, message: bytes, row: int) -> Batch:
         """Decode one message."""
-        found = object_of(message)
-        joints = found.get("joints")
+        fields = object_of(message)
+        joints = fields.get("joints")
         if not isinstance(joints, list) or not all(isinstance(one, dict) for one in joints):
             raise MessageError("joints is not a list of objects")
         if len(joints) > limits.MCAP.joints_count:
@@ -77,7 +77,7 @@ class FoxgloveJointStates:
         if not all(isinstance(name, str) for name in names):
             raise MessageError("joints contains a joint without a name")
         check_names(names)
-        stamp, bad = time_of(found.get("timestamp"), "timestamp")
+        stamp, bad = time_of(fields.get("timestamp"), "timestamp")
         values = {
             quantity: values_of([one.get(quantity) for one in joints], quantity, len(names))
             for quantity in QUANTITIES
@@ -117,7 +117,7 @@ def _message(message: bytes) -> tuple[int, list[tuple[str, list[float]]]]:
 
 def _joint(message: bytes) -> tuple[str, list[float]]:
     name = ""
-    found = dict.fromkeys(QUANTITIES, math.nan)
+    values = dict.fromkeys(QUANTITIES, math.nan)
     for number, value in _fields(message):
         if number == _NAME and isinstance(value, bytes):
             try:
@@ -127,8 +127,8 @@ def _joint(message: bytes) -> tuple[str, list[float]]:
         elif number in _QUANTITY_FIELDS:
             if not isinstance(value, float):
                 raise MessageError(f"{_QUANTITY_FIELDS[number]} is not a double")
-            found[_QUANTITY_FIELDS[number]] = value
-    return name, list(found.values())
+            values[_QUANTITY_FIELDS[number]] = value
+    return name, list(values.values())
 
 
 def _time(message: bytes) -> int:

@@ -79,9 +79,9 @@ def constant(value: Floats) -> Floats:
 
 def derivative(coefficients: Floats) -> Floats:
     """(6, c) coefficients of the derivative."""
-    found = np.zeros_like(coefficients)
-    found[:-1] = coefficients[1:] * _POWERS[1:, None]
-    return found
+    derivatives = np.zeros_like(coefficients)
+    derivatives[:-1] = coefficients[1:] * _POWERS[1:, None]
+    return derivatives
 
 
 def value_at(coefficients: Floats, since: float) -> Floats:

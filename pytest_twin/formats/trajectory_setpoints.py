@@ -290,11 +290,11 @@ class _Track:
         if time >= segment.end:
             return segment.last, segment.final
         since = (time - segment.begin) * 1e-9
-        own = segment.coefficients[:, : self.count]
+        coefficients = segment.coefficients[:, : self.count]
         return value_at(segment.coefficients, since), (
-            value_at(own, since),
-            value_at(derivative(own), since),
-            value_at(derivative(derivative(own)), since),
+            value_at(coefficients, since),
+            value_at(derivative(coefficients), since),
+            value_at(derivative(derivative(coefficients)), since),
         )
 
     def _cut(self, time: int, value: Floats) -> None:

@@ -30,11 +30,11 @@ def metadata_beside(recording: Path) -> tuple[dict[str, str], tuple[str, ...]]:
     path = file_beside(recording)
     if path is None:
         return {}, ()
-    found = yaml.load(path).data
+    content = yaml.load(path).data
     expected = "a mapping such as role: fit, payload: kg05, temperature: 20 C, controller: soft"
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise FormatError("not the metadata of a trial", path=path, expected=expected)
-    return checked_metadata(found, path), (f"metadata of the trial from {path.name}",)
+    return checked_metadata(content, path), (f"metadata of the trial from {path.name}",)
 
 
 def checked_metadata(found: Mapping[str, object], path: Path) -> dict[str, str]:

@@ -155,8 +155,8 @@ def _content(path: Path, known: Manifest, edited: list[Path], twin: Twin) -> dic
     for name, state in known.states.items():
         states[name] = {"digest": state.digest, "made": dict(state.made)}
         if name == "source":
-            kept = ("supplier", "received", "origin")
-            states[name] |= {key: state.facts[key] for key in kept if key in state.facts}
+            copied_facts = ("supplier", "received", "origin")
+            states[name] |= {key: state.facts[key] for key in copied_facts if key in state.facts}
         else:
             states[name]["files"] = dict(state.files)
     return {

@@ -30,11 +30,11 @@ class Gap:
 
 def gaps(outcomes: Collection[Outcome]) -> tuple[Gap, ...]:
     """Return what the goldens of a release do not test: the model's file, motion over time."""
-    found = []
+    gaps_found = []
     audited = {one.realization for one in outcomes if one.kind == AUDIT}
     unaudited = sorted({one.realization for one in outcomes} - audited)
     if not audited:
-        found.append(
+        gaps_found.append(
             Gap(
                 "not audited",
                 f"not audited: no golden of kind {AUDIT} checks the model's file; "
@@ -42,14 +42,14 @@ def gaps(outcomes: Collection[Outcome]) -> tuple[Gap, ...]:
             )
         )
     elif unaudited:
-        found.append(
+        gaps_found.append(
             Gap(
                 f"{join_words(unaudited)} not audited",
                 f"not audited: {join_words(unaudited)}; add it under realizations: of the golden "
                 f"of kind {AUDIT}",
             )
         )
-    found += [
+    gaps_found += [
         Gap("critical findings of the audit", f"critical findings, advisory only: {what(one)}")
         for one in outcomes
         if one.kind == AUDIT and one.status == "failed" and one.criticality == "advisory"
@@ -57,14 +57,14 @@ def gaps(outcomes: Collection[Outcome]) -> tuple[Gap, ...]:
     if outcomes and not any(_is_dynamic(one.kind) for one in outcomes if one.status == "passed"):
         dynamic = [kind for kind in kinds() if _is_dynamic(kind)]
         count = counted(len({one.golden for one in outcomes}), "golden")
-        found.append(
+        gaps_found.append(
             Gap(
                 "no motion tested",
                 f"thin: {count}, and none compares motion over time with a record "
                 f"({', '.join(dynamic)})",
             )
         )
-    return tuple(found)
+    return tuple(gaps_found)
 
 
 def assumptions(outcomes: Collection[Outcome]) -> list[str]:

@@ -111,18 +111,18 @@ def _options(path: Path) -> dict[str, Any] | None:
     try:
         if path.suffix == ".toml":
             data = tomllib.loads(read_bytes(path, _CONFIGURATION_BYTES).decode("utf-8"))
-            found = [_table(data, names) for names in _TOML_TABLES]
+            tables = [_table(data, names) for names in _TOML_TABLES]
         elif path.suffix in (".ini", ".cfg"):
             parser = configparser.ConfigParser(interpolation=None, strict=False)
             parser.read_string(read_bytes(path, _CONFIGURATION_BYTES).decode("utf-8"))
-            found = [dict(parser[name]) for name in _INI_SECTIONS if parser.has_section(name)]
+            tables = [dict(parser[name]) for name in _INI_SECTIONS if parser.has_section(name)]
         else:
             return None
     except (ValueError, configparser.Error):
         return None
     return {
         name: json.loads(json.dumps(value, default=str))
-        for options in found
+        for options in tables
         for name, value in options.items()
     }
 

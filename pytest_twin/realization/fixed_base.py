@@ -41,12 +41,12 @@ def fix_base(spec: mujoco.MjSpec) -> list[str]:
 
 
 def _floating_bases(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
-    found = []
+    floating_bodies = []
     waiting = list(spec.worldbody.bodies)
     while waiting:
         body = waiting.pop()
         if not body.joints:
             waiting.extend(body.bodies)
         elif any(joint.type in _LOOSE for joint in body.joints) and patch.carries_joints(body):
-            found.append(body)
-    return found
+            floating_bodies.append(body)
+    return floating_bodies

@@ -190,17 +190,20 @@ def _changes(root: Path, release: Release) -> tuple[FileChange, ...]:
     """
     changes = []
     for entry in release.files:
-        place = place_of(entry)
-        if place is None:
+        path_in_twin = place_of(entry)
+        if path_in_twin is None:
             continue
-        if not file_set.is_plain(place):
+        if not file_set.is_plain(path_in_twin):
             raise PathError(
-                "a file outside the twin", path=root, value=place, expected="files inside the twin"
+                "a file outside the twin",
+                path=root,
+                value=path_in_twin,
+                expected="files inside the twin",
             )
-        file_set.check_folders(root, place)
-        digest = file_set.digest_of(root / place)
+        file_set.check_folders(root, path_in_twin)
+        digest = file_set.digest_of(root / path_in_twin)
         if digest != entry.sha256:
-            changes.append(FileChange(place, digest, entry.sha256))
+            changes.append(FileChange(path_in_twin, digest, entry.sha256))
     return tuple(sorted(changes, key=lambda change: change.path))
 
 

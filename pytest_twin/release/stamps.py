@@ -182,7 +182,7 @@ def _without_variants(given: Stamp) -> dict[str, object]:
 
 
 def variants(found: Iterable[StampedFile]) -> dict[str, list[str]]:
-    """``controller`` and ``payload`` -> names that the stamps of a data set contain."""
+    """Names in the stamps of a data set, by ``controller`` and ``payload``."""
     return {
         part: sorted({str(one.stamp.ids[part]["id"]) for one in found
                       if one.stamp is not None and one.stamp.ids[part]["id"] is not None})

@@ -57,11 +57,11 @@ def within_commands(trial: Trial) -> Trial:
     if not notes:
         return trial
     inside = (trial.time >= begin) & (trial.time <= end)
-    said = "; ".join(notes)
+    why = "; ".join(notes)
     if inside.sum() < _LEAST_SAMPLES:
-        return replace(trial, notes=(*trial.notes, f"{said}: the commands there are not recorded"))
+        return replace(trial, notes=(*trial.notes, f"{why}: the commands there are not recorded"))
     cut = part_of(trial, begin, end, -np.inf, np.inf, trial.parts)
-    note = f"used from {begin:.4g} to {end:.4g} s: {said}, so that commands are not recorded there"
+    note = f"used from {begin:.4g} to {end:.4g} s: {why}, so that commands are not recorded there"
     return replace(cut, notes=(note, *trial.notes))
 
 
@@ -124,7 +124,7 @@ def other_modes(
         own: (n,) which messages have the used field.
         others: field -> (n,) which messages have it.
     """
-    found = []
+    modes = []
     for other, filled in others.items():
         rows = np.flatnonzero(own | filled)
         is_other = (filled & ~own)[rows]
@@ -134,8 +134,8 @@ def other_modes(
             continue
         for first, after in runs.tolist():
             end = float(time[rows[after]]) if after < len(rows) else np.inf
-            found.append(OtherMode(joint, used, other, float(time[rows[first]]), end))
-    return found
+            modes.append(OtherMode(joint, used, other, float(time[rows[first]]), end))
+    return modes
 
 
 def without_other_modes(trial: Trial, found: Sequence[OtherMode]) -> list[Trial]:
@@ -158,16 +158,16 @@ def without_other_modes(trial: Trial, found: Sequence[OtherMode]) -> list[Trial]
         and ((trial.command_time >= start) & (trial.command_time < end)).any()
     ]
     first = found[0]
-    said = (
+    change = (
         f"the commands of {list_names([*dict.fromkeys(one.joint for one in found)])} change from "
         f"{first.used} to {first.other} at {first.start:.4g} s, as if another controller took over"
     )
     if not windows:
-        return [replace(trial, notes=(f"{said}; only {first.used} is used", *trial.notes))]
+        return [replace(trial, notes=(f"{change}; only {first.used} is used", *trial.notes))]
     shown = ", ".join(
         f"{max(start, 0.0):.4g} to {min(end, trial.duration):.4g} s" for start, end in windows
     )
-    note = f"{said}: used are the parts with {first.used} commands, {shown}"
+    note = f"{change}: used are the parts with {first.used} commands, {shown}"
     parts = [
         replace(
             part_of(trial, start, np.nextafter(end, -np.inf), start, end, len(windows)), notes=()

@@ -73,13 +73,13 @@ def own_samples(stamp: Integers, fields: Mapping[CommandMode, Floats | None]) ->
         repeats = _repeats(places, values[changes] - values[changes - 1])
     if repeats <= 1.0:
         return Samples(rows, len(everything) / len(rows))
-    kept = np.zeros(len(rows), dtype=bool)
-    kept[places] = True
+    is_sample = np.zeros(len(rows), dtype=bool)
+    is_sample[places] = True
     for first, end in zip(np.append(0, places), np.append(places, len(rows)), strict=True):
         at_rest = np.rint(np.arange(first, end - 0.5 * repeats, repeats)).astype(np.int64)
-        kept[at_rest[at_rest < end]] = True
-    kept[0] = True
-    return Samples(rows[kept], len(everything) / int(kept.sum()))
+        is_sample[at_rest[at_rest < end]] = True
+    is_sample[0] = True
+    return Samples(rows[is_sample], len(everything) / int(is_sample.sum()))
 
 
 def _repeats(places: NDArray[np.int64], changes: Floats) -> float:

@@ -57,7 +57,7 @@ def unwrap_joints(motion: RecordedMotion, structure: Structure, signals: Signals
         sent = np.zeros(len(motion.command_time), dtype=bool)
         if at is not None:
             sent = np.isfinite(motion.command[:, at])
-        own = JointMotion(
+        joint_motion = JointMotion(
             motion.time[seen],
             motion.position[seen, column],
             motion.command_time[sent],
@@ -65,7 +65,7 @@ def unwrap_joints(motion: RecordedMotion, structure: Structure, signals: Signals
         )
         turn = TURN / abs(signal.gear) if signal.position.side == "motor" else TURN
         try:
-            found = unwrap(own, structure.joint_range.get(joint), turn, wrapped)
+            unwrapped = unwrap(joint_motion, structure.joint_range.get(joint), turn, wrapped)
         except AmbiguousTurnsError as error:
             raise RecordingError(
                 "positions are recorded within one turn, and its number is not known",
@@ -74,8 +74,8 @@ def unwrap_joints(motion: RecordedMotion, structure: Structure, signals: Signals
                 f"twin.yaml signals: {{joints: {{{joint}: {{position: {{wrapped: true}}}}}}}} "
                 "(the shorter way), wrapped: false (as recorded)",
             ) from None  # fmt: skip
-        motion.position[seen, column] = found.position
+        motion.position[seen, column] = unwrapped.position
         if at is not None:
-            motion.command[sent, at] = found.command
-        notes += [f"{motion.topic}: {joint}: {note}" for note in found.notes]
+            motion.command[sent, at] = unwrapped.command
+        notes += [f"{motion.topic}: {joint}: {note}" for note in unwrapped.notes]
     return notes

@@ -132,19 +132,20 @@ def _positions(
         turns[rows] = _turns_of(position[rows], turn)
         # A spike stays where it was recorded, in the turn of the sample before it.
         before = np.maximum.accumulate(np.where(spikes, 0, np.arange(len(position))))
-        found = position + turn * turns[before]
-        doubt = "" if declared else _doubt(motion.time[rows], found[rows], turn)
+        unwrapped = position + turn * turns[before]
+        doubt = "" if declared else _doubt(motion.time[rows], unwrapped[rows], turn)
         if doubt:
-            found = _by_commands(motion, turn, doubt)
+            unwrapped = _by_commands(motion, turn, doubt)
         if limits is not None:
-            found = _into_range(found, limits, turn, reference)
-        if limits is None or _is_inside(found[rows], limits, turn):
-            return found, [_jumps_note("positions", jumps, motion.time, turn)]
+            unwrapped = _into_range(unwrapped, limits, turn, reference)
+        if limits is None or _is_inside(unwrapped[rows], limits, turn):
+            return unwrapped, [_jumps_note("positions", jumps, motion.time, turn)]
     elif limits is not None and _is_another_turn(position, limits, turn):
-        found = _into_range(position, limits, turn, reference)
-        if _is_inside(found, limits, turn):
-            count = round(float(found[0] - position[0]) / turn)
-            return found, [f"all positions are outside the joint's range: {count:+d} turns added"]
+        unwrapped = _into_range(position, limits, turn, reference)
+        if _is_inside(unwrapped, limits, turn):
+            count = round(float(unwrapped[0] - position[0]) / turn)
+            note = f"all positions are outside the joint's range: {count:+d} turns added"
+            return unwrapped, [note]
     elif not declared and _is_in_window(position[rows], turn):
         doubt = _doubt(motion.time[rows], position[rows], turn)
         if doubt:
@@ -155,35 +156,35 @@ def _positions(
 def _without_jumps(motion: JointMotion, turn: float, doubt: str) -> tuple[FloatArray, list[str]]:
     """Positions within one turn whose turns are in doubt, and a note."""
     try:
-        found = _by_commands(motion, turn, doubt)
+        unwrapped = _by_commands(motion, turn, doubt)
     except AmbiguousTurnsError:
         return motion.position, [
             f"{doubt}: taken as recorded; if its positions are recorded within one turn, this is "
             "less than half a turn only by assumption"
         ]
-    turns = np.rint((found - motion.position) / turn)
+    turns = np.rint((unwrapped - motion.position) / turn)
     if (turns == turns[0]).all():
         return motion.position, []
-    return found, [f"{doubt}: its commands decide, and positions after it are in another turn"]
+    return unwrapped, [f"{doubt}: its commands decide, and positions after it are in another turn"]
 
 
 def _spikes(values: FloatArray, turn: float) -> NDArray[np.bool_]:
     """(n,) single samples that are far from both neighbours, which are near each other."""
 
     def distance(first: FloatArray, second: FloatArray) -> FloatArray:
-        apart = second - first
-        distances: FloatArray = np.abs(apart - turn * np.rint(apart / turn))
+        difference = second - first
+        distances: FloatArray = np.abs(difference - turn * np.rint(difference / turn))
         return distances
 
-    found = np.zeros(len(values), dtype=bool)
+    is_spike = np.zeros(len(values), dtype=bool)
     before, middle, after = values[:-2], values[1:-1], values[2:]
-    found[1:-1] = (
+    is_spike[1:-1] = (
         (distance(before, middle) > _FOLLOWS * turn)
         & (distance(middle, after) > _FOLLOWS * turn)
         & (distance(before, after) < 0.5 * _FOLLOWS * turn)
     )
     # A joint that turns fast looks so at every sample.
-    return found if found.mean() <= _SPIKES else np.zeros_like(found)
+    return is_spike if is_spike.mean() <= _SPIKES else np.zeros_like(is_spike)
 
 
 def _jumps(values: FloatArray, turn: float) -> NDArray[np.int64]:
@@ -254,9 +255,9 @@ def _by_commands(motion: JointMotion, turn: float, doubt: str) -> FloatArray:
     if len(motion.command) < 2:
         raise AmbiguousTurnsError(doubt)
     command = motion.command + turn * _turns_of(motion.command, turn)
-    apart = motion.position - replace(motion, command=command).commands_at(motion.time)
-    turns = np.rint(apart / turn)
-    if np.abs(apart - turn * turns).max() > _FOLLOWS * turn:
+    tracking_error = motion.position - replace(motion, command=command).commands_at(motion.time)
+    turns = np.rint(tracking_error / turn)
+    if np.abs(tracking_error - turn * turns).max() > _FOLLOWS * turn:
         raise AmbiguousTurnsError(doubt)
     if _doubt(motion.command_time, command, turn):
         raise AmbiguousTurnsError(doubt)
@@ -302,9 +303,9 @@ def _commands(
 
 def _tracking_error(motion: JointMotion, turn: float) -> float:
     """RMS difference of positions and commands, rad, apart from the turn in which they begin."""
-    apart = motion.position - motion.commands_at(motion.time)
-    begin = apart[: max(1, len(apart) // 20)]
-    return float(np.sqrt(np.mean((apart - turn * np.rint(begin.mean() / turn)) ** 2)))
+    tracking_error = motion.position - motion.commands_at(motion.time)
+    begin = tracking_error[: max(1, len(tracking_error) // 20)]
+    return float(np.sqrt(np.mean((tracking_error - turn * np.rint(begin.mean() / turn)) ** 2)))
 
 
 def _same_turn(
@@ -315,9 +316,9 @@ def _same_turn(
     turn: float,
 ) -> tuple[FloatArray, FloatArray, list[str]]:
     """Positions and commands in the same turn, and a note if one was shifted."""
-    apart = position - replace(motion, command=command).commands_at(motion.time)
-    turns = float(np.rint(np.median(apart) / turn))
-    if not turns or np.abs(apart - turn * turns).max() > _FOLLOWS * turn:
+    tracking_error = position - replace(motion, command=command).commands_at(motion.time)
+    turns = float(np.rint(np.median(tracking_error) / turn))
+    if not turns or np.abs(tracking_error - turn * turns).max() > _FOLLOWS * turn:
         return position, command, []
     if limits is None:
         note = f"positions differ from their commands by whole turns: {-turns:+.0f} added"

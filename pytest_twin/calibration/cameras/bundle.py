@@ -167,8 +167,8 @@ def bundle(
         if change < _ROUND_SETTLED or is_over():
             break
     equations = linearize(model, unknowns, sizes)
-    kept = np.r_[model.transforms, model.own, model.scale, model.intrinsics]
-    covariance = equations.solver.covariance.shared[np.ix_(kept, kept)]
+    parameters = np.r_[model.transforms, model.own, model.scale, model.intrinsics]
+    covariance = equations.solver.covariance.shared[np.ix_(parameters, parameters)]
     return Bundle(
         HandEye(unknowns.hand_eye, unknowns.robot_world),
         unknowns.intrinsics,

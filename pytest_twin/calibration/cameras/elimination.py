@@ -136,8 +136,8 @@ class Elimination:
 
     def _times_inverses(self, rows: FloatArray) -> FloatArray:
         blocks, width = len(self._inverses), self._inverses.shape[1]
-        apart = rows.reshape(len(rows), blocks, width).transpose(1, 0, 2)
-        return (apart @ self._inverses).transpose(1, 0, 2).reshape(len(rows), -1)
+        block_rows = rows.reshape(len(rows), blocks, width).transpose(1, 0, 2)
+        return (block_rows @ self._inverses).transpose(1, 0, 2).reshape(len(rows), -1)
 
     def _parts(self, right: Step) -> tuple[FloatArray, FloatArray]:
         """Return the vector of what is kept, and that of what is eliminated."""

@@ -110,8 +110,8 @@ def _column(joint: str, role: str, quantity: str | None, unit: str) -> Column:
 def topics_in(headings: list[str]) -> list[str]:
     """Return the topics of headings that PlotJuggler writes."""
     short = (heading for heading in headings if len(heading) <= _HEADING_CHARS)
-    found = (_TOPIC.fullmatch(heading) for heading in short)
-    return sorted({match["topic"] for match in found if match is not None})
+    matches = (_TOPIC.fullmatch(heading) for heading in short)
+    return sorted({match["topic"] for match in matches if match is not None})
 
 
 def split_unit(heading: str) -> tuple[str, str]:

@@ -34,8 +34,8 @@ class TimeUnitError(ValueError):
 
 def unit_in_heading(heading: str) -> str | None:
     """Return the unit that a heading of times states, such as ``time_ms`` or ``t [s]``."""
-    found = _TIME_HEADING.fullmatch(heading.strip())
-    return None if found is None else unit_named(found[1])
+    match = _TIME_HEADING.fullmatch(heading.strip())
+    return None if match is None else unit_named(match[1])
 
 
 def unit_named(name: str) -> str | None:

@@ -70,18 +70,18 @@ def read_calibration(path: Path) -> Mapping[str, MotorRange]:
     """
     text = decode_text(read_bytes(path, limits.YAML.file_bytes), path)
     try:
-        found = json.loads(text)
+        document = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise FormatError(f"not JSON: {str(error)[:80]}", path=path) from None
     expected = "motor names, each with " + ", ".join(_KEYS)
-    if not isinstance(found, dict) or not found:
+    if not isinstance(document, dict) or not document:
         raise FormatError("not a motor calibration of LeRobot", path=path, expected=expected)
-    if _OLD_KEYS & set(found):
+    if _OLD_KEYS & set(document):
         raise FormatError(
             "a motor calibration of LeRobot before 2025", path=path,
             expected="no calibration: such arms record degrees, --units deg",
         )  # fmt: skip
-    return {str(motor): _range_of(str(motor), entry, path) for motor, entry in found.items()}
+    return {str(motor): _range_of(str(motor), entry, path) for motor, entry in document.items()}
 
 
 def _range_of(motor: str, entry: object, path: Path) -> MotorRange:
