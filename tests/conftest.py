@@ -11,6 +11,15 @@ from in_process import InProcess
 from pytest_twin.cli import COMMANDS
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _environment_of_a_person() -> Iterator[None]:
+    """Build machines set CI, where ``--twin-update`` refuses to run; the tests act as a person."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("CI", "TWIN_SIGNING_KEY"):
+            patch.delenv(name, raising=False)
+        yield
+
+
 @pytest.fixture(scope="module")
 def commands_in_process() -> Iterator[None]:
     """Commands do their work in this process, because the start of a child takes 1 to 2 s.

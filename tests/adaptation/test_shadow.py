@@ -84,8 +84,6 @@ def place(
 def set_user(patch: pytest.MonkeyPatch, home: Path) -> None:
     for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
         patch.setenv(name, str(home))
-    for name in ("CI", "TWIN_SIGNING_KEY"):
-        patch.delenv(name, raising=False)
 
 
 def run_gate(twin: Path, flag: str) -> int:

@@ -25,12 +25,10 @@ tolerance: {{angle_rms: 3 mrad}}
 
 def run(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run pytest in the folder of a twin, as a user does."""
-    hidden = ("CI", "TWIN_SIGNING_KEY")
-    environment = {k: v for k, v in os.environ.items() if k not in hidden}
     return subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
         cwd=root,
-        env=environment | {"HOME": str(root.parent)},
+        env=os.environ | {"HOME": str(root.parent)},
         capture_output=True,
         text=True,
         timeout=100,

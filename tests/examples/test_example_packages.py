@@ -102,11 +102,10 @@ class Shell:
     def run(self, *command: str) -> subprocess.CompletedProcess[str]:
         names = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")
         home = dict.fromkeys(names, str(self.folder.parent / "home"))
-        without = {k: v for k, v in os.environ.items() if k != "CI"}
         return subprocess.run(
             command,
             cwd=self.folder,
-            env={**without, **home, "PYTHONPATH": str(self.site)},
+            env={**os.environ, **home, "PYTHONPATH": str(self.site)},
             capture_output=True,
             text=True,
             timeout=120,

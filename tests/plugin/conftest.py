@@ -136,11 +136,9 @@ class TwinFolder:
 
 
 def _environment(monkeypatch: pytest.MonkeyPatch, home: Path) -> None:
-    """Use an empty home folder without keys, caches and CI variables."""
+    """Use an empty home folder without keys and caches."""
     for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
         monkeypatch.setenv(name, str(home))
-    for name in ("CI", "TWIN_SIGNING_KEY"):
-        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture(scope="session")

@@ -44,12 +44,11 @@ class Workshop:
 
     def pytest(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Run pytest in the twin's folder in a new process."""
-        kept = {k: v for k, v in os.environ.items() if k != "CI"}
         folders = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")
         return subprocess.run(
             [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
             cwd=self.root,
-            env=kept | dict.fromkeys(folders, str(self.home)),
+            env=os.environ | dict.fromkeys(folders, str(self.home)),
             capture_output=True,
             text=True,
             timeout=300,
