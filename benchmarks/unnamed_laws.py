@@ -22,12 +22,12 @@ sys.path.insert(0, str(Path(__file__).parent / "concealed"))
 
 from cases import OUTSIDE_NAMES, make, seeds
 
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.diagnosis.unnamed_law.fit import fit_free_laws
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.realization import load
 
 TOPICS = {"state": "/joint_states", "command": "/joint_commands"}

@@ -33,11 +33,11 @@ import numpy as np
 from mujoco import sysid
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.effects.segment import Segment
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import TOPICS, JointSeries, write_recording
 from pytest_twin.realization import load
 

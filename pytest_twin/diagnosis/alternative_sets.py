@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pytest_twin.diagnosis.equivalent_sets import compare_sets
-from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused_effects, reportable_without
@@ -15,6 +14,7 @@ from pytest_twin.diagnosis.search.noise_levels import label
 from pytest_twin.diagnosis.search.pruning import prune
 from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.shared_confidence import share_confidence
+from pytest_twin.estimation.score import log_likelihood
 
 OTHER_SETS = "other sets of effects instead of the final one"
 """Name of the comparison, for the reader."""

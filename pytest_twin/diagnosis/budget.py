@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from pytest_twin.diagnosis.deadline import CHECK, OutOfTime, no_limit
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.deadline import CHECK, OutOfTime, no_limit
 from pytest_twin.processor_time import processor_seconds
 
 RESERVED_SHARE, FINAL_SHARE = 0.2, 0.1

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.prepare import discretization_rms
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.estimation.hypothesis import Hypothesis
 
 
 def integration_errors(

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.simplification import mean_start, values_of
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.diagnosis.budget import Budget
-from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.evidence import log_likelihood
 from pytest_twin.diagnosis.findings import (
     Explanation,
     build_explanation,
@@ -24,7 +22,6 @@ from pytest_twin.diagnosis.findings import (
     order_by_whole_motions,
     with_gains,
 )
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.physical_totals import without_negative_totals
 from pytest_twin.diagnosis.prepare import PreparedProblem
@@ -45,6 +42,9 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.verdict import verdict
 from pytest_twin.errors import RecordingError, SimulationError, TwinError
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales, Term
+from pytest_twin.estimation.score import log_likelihood
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 

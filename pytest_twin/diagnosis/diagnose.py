@@ -18,7 +18,6 @@ from pytest_twin.diagnosis.budget import COMPARISON_SHARE
 from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
 from pytest_twin.diagnosis.conclusion import ChosenModel, evaluate_on_test, fit_final_parameters
 from pytest_twin.diagnosis.cost import Cost, measure_cost
-from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.findings import Explanation, finding_json
 from pytest_twin.diagnosis.friction_constraint import (
     FRICTION_CREEP_NOTE,
@@ -56,6 +55,7 @@ from pytest_twin.diagnosis.unnamed_law.confirmation import (
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
 from pytest_twin.diagnosis.verdict import JointError, Verdict
 from pytest_twin.diagnosis.windows import Cutting, segments_of
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial

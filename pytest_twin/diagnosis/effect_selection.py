@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.refusal import refused_effects
 from pytest_twin.diagnosis.run import Run
@@ -26,6 +24,8 @@ from pytest_twin.diagnosis.search.settings import SELECTION
 from pytest_twin.diagnosis.structure_search.score import SimulatedModel
 from pytest_twin.diagnosis.structure_search.search import SearchState, StructureSearch
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 # Log-likelihood ratio by which other sets of the structure search may be behind to share the
 # confidence of its result: odds of 1 to 22,000.

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import Hypothesis, effect_values
 
 
 def residuals_with_step_tolerance(

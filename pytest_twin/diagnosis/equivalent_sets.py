@@ -23,10 +23,8 @@ from pytest_twin.diagnosis.common_effects import (
     set_size,
     tie_common_parameters,
 )
-from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.effort_step_tolerance import residuals_with_step_tolerance
 from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
-from pytest_twin.diagnosis.evidence import NOISE_FLOORS, log_likelihood, tempered_samples
 from pytest_twin.diagnosis.first_order.beam_search import (
     CandidateSensitivities,
     NormalEquations,
@@ -40,8 +38,6 @@ from pytest_twin.diagnosis.first_order.linearized_fit import (
     linearized_slopes,
 )
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.fit import FittedModel, propose_step, weighted_cost
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.patched.native import mjcf_expresses
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
@@ -58,6 +54,10 @@ from pytest_twin.diagnosis.set_evidence import (
     set_evidence,
     set_penalty,
 )
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel, propose_step, weighted_cost
+from pytest_twin.estimation.score import NOISE_FLOORS, log_likelihood, tempered_samples
 
 # Levenberg-Marquardt dampings, as shares of the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)

@@ -11,7 +11,6 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.finding_settings import FINDINGS
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
 from pytest_twin.diagnosis.locate import TimeAndRegime, locate_error, smooth_motions
 from pytest_twin.diagnosis.prepare import PreparedProblem
@@ -22,6 +21,7 @@ from pytest_twin.diagnosis.search.scored_model import AlternativeEffects, Select
 from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.diagnosis.verdict import UNSEEN, JointError
 from pytest_twin.effects.base import Parameter
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.trial import Trial
 
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
-from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.quick_diagnosis import QuickDiagnosis, quick_diagnosis
 from pytest_twin.errors import TwinError
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.realization import Realization
 from pytest_twin.replay import replay
 from pytest_twin.trial import Trial

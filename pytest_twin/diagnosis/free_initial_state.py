@@ -16,13 +16,13 @@ from itertools import chain, islice
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.diagnosis.windows import start_width
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 
 # Finite-difference step of initial positions (rad or m) and velocities (rad/s or m/s).
 _STEP = 1e-4

@@ -14,7 +14,6 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effect_selection import EffectSelection
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.integrator_settings import FRICTION_CONSTRAINT
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import PreparedProblem
@@ -32,6 +31,7 @@ from pytest_twin.diagnosis.structure_search.score import SimulatedModel
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.batch_simulator import BatchSimulator
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 
 FRICTION_CREEP_NOTE = (
     "dry friction creeps under load in these recordings, as in MuJoCo's default friction "

@@ -18,7 +18,6 @@ from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.sensitivities import linearize, starting_grid
 from pytest_twin.diagnosis.friction_constraint import has_dry_friction, with_other_constraint
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import (
@@ -37,6 +36,7 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import UNSEEN
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.segment import Predicted
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 SUBSTEPS = (1, 2, 4, 5)
 """Substeps for each step of the model that are compared. With more of them the discretization error

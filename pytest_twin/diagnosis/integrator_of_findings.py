@@ -15,8 +15,6 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effect_selection import EffectSelection
-from pytest_twin.diagnosis.evidence import effective_samples
-from pytest_twin.diagnosis.hypothesis import Hypothesis, effect_values
 from pytest_twin.diagnosis.integrator_detection import SUBSTEPS
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -30,6 +28,8 @@ from pytest_twin.diagnosis.search_result import (
     residuals_everywhere,
 )
 from pytest_twin.diagnosis.trials import TrialSet
+from pytest_twin.estimation.hypothesis import Hypothesis, effect_values
+from pytest_twin.estimation.score import effective_samples
 
 # Index of the previous step among the neighbouring steps of an effort.
 _EARLIER = 1

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, stdtrit
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
-from pytest_twin.diagnosis.fit import FittedModel
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.interval_settings import INTERVALS
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import SMOOTH_STEP
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel
+from pytest_twin.estimation.score import effective_samples
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.metrics.joint_covariance import upper_covariance, with_deviations
 

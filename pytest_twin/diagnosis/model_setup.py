@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from pytest_twin.diagnosis.hypothesis import Scales
 from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
 from pytest_twin.diagnosis.patched.replay import fixed_values
@@ -17,6 +16,7 @@ from pytest_twin.diagnosis.prepare import (
 )
 from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects.contact_geoms import ContactGeoms
+from pytest_twin.estimation.hypothesis import Scales
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.correction_settings import CORRECTIONS
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 @dataclass(frozen=True, slots=True)

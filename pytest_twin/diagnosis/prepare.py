@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.free_initial_state import FreeInitialStates, free_initial_states
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 from pytest_twin.diagnosis.initial_velocity import choose_initial_velocity
 from pytest_twin.diagnosis.noise import (
     effort_noise,
@@ -41,6 +40,7 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.contact_geoms import CONTACT_DISTANCE, ContactGeoms
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales, effect_values
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import check_deadline
 from pytest_twin.diagnosis.free_initial_state import FreeInitialState, FreeInitialStates
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.diagnosis.prepare_settings import PREPARE
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
+from pytest_twin.estimation.deadline import check_deadline
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 
 T = TypeVar("T")
 # Hypotheses whose discretization errors are kept in memory.

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.beam_search import (
     CandidateSensitivities,
     NormalEquations,
@@ -24,8 +23,6 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 )
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.sensitivities import sensitivities
-from pytest_twin.diagnosis.fit import FittedModel, fit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import (
     MissingForce,
     TimeAndRegime,
@@ -42,6 +39,9 @@ from pytest_twin.diagnosis.quick_settings import QUICK
 from pytest_twin.diagnosis.smoothing import smooth_state
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.errors import SimulationError
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel, fit
+from pytest_twin.estimation.score import effective_samples, log_likelihood
 from pytest_twin.realization import Realization
 from pytest_twin.replay import replay
 from pytest_twin.trial import Trial

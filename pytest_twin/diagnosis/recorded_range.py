@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trial_settings import RANGES
 from pytest_twin.effects.base import Parameter
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import impossible_effects
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange, unidentifiable_effects
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 def refused_effects(

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
-from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trace import Decision, Step, Trace, effect_names
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 
 Result = TypeVar("Result")
 

@@ -12,7 +12,6 @@ from pytest_twin.diagnosis.friction_constraint import (
     refit_with_better_constraint,
     search_with_better_constraint,
 )
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.integrator_detection import (
     detect_integrator,
     simulation_explains_more,
@@ -40,6 +39,7 @@ from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 
 # Windows are searched only if some set leaves at most this share of the nominal model's squared
 # error in the linearized motion.

@@ -10,9 +10,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.effect_selection import EffectSelection
-from pytest_twin.diagnosis.evidence import Likelihood, laplace_log_likelihood, log_likelihood
 from pytest_twin.diagnosis.findings import Explanation, build_explanation, joint_unit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.prepare import PreparedProblem
@@ -34,6 +32,8 @@ from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.diagnosis.window_length import model_follows_recordings
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import SimulationError
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales
+from pytest_twin.estimation.score import Likelihood, laplace_log_likelihood, log_likelihood
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inputs import joint_inputs
 from pytest_twin.trial import Trial

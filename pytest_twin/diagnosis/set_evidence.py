@@ -14,20 +14,20 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.common_effects import set_size
 from pytest_twin.diagnosis.effort_step_tolerance import residuals_with_step_tolerance
-from pytest_twin.diagnosis.evidence import (
+from pytest_twin.diagnosis.finding_settings import FINDINGS
+from pytest_twin.diagnosis.first_order.beam_search import parameter_penalty
+from pytest_twin.diagnosis.first_order.linearized_fit import linearized_slopes
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
+from pytest_twin.estimation.score import (
     NOISE_FLOORS,
     effective_samples,
     log_likelihood,
     tempered_samples,
 )
-from pytest_twin.diagnosis.finding_settings import FINDINGS
-from pytest_twin.diagnosis.first_order.beam_search import parameter_penalty
-from pytest_twin.diagnosis.first_order.linearized_fit import linearized_slopes
-from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
-from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.scored_model import ScoredModel
 
 
 def log_misfit(residual: FloatArray, floor: FloatArray) -> float:
@@ -119,7 +119,7 @@ def set_evidence(
     """Penalized log-likelihood of sets on fit and validation recordings.
 
     Model error reduces the effective samples
-    (:func:`~pytest_twin.diagnosis.evidence.tempered_samples`).
+    (:func:`~pytest_twin.estimation.score.tempered_samples`).
 
     Args:
         comparison: model comparison of the problem.

@@ -9,9 +9,9 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.equivalent_sets import ComparedSets
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.interval_settings import INTERVALS
 from pytest_twin.diagnosis.search.scored_model import AlternativeEffects, SelectedModel
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 # Shares up to this value are rounding errors, so their logarithm is not used.
 _ROUNDING = 1e-12

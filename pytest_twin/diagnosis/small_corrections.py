@@ -10,10 +10,10 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.correction_settings import CORRECTIONS
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import totals
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 _USUAL = "it is within the accuracy to which such parameters are usually known"
 

@@ -14,10 +14,10 @@ from __future__ import annotations
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.effects.friction import CoulombFriction, PreslidingHysteresis
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 
 def stiction_weights(problem: Problem) -> dict[int, FloatArray]:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pytest_twin.diagnosis.hypothesis import Term
+from pytest_twin.estimation.hypothesis import Term
 
 Decision = Literal["accepted", "rejected", "ended"]
 MOST_STEPS = 2000

@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.intervals import ParameterUncertainty
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.identify import EffortResult
 from pytest_twin.identification.effort.servo_gains import ServoGains

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
+from pytest_twin.estimation.score import effective_samples
 
 ONE_SIDED = 1.645
 """One-sided 5 % quantile of the normal distribution."""

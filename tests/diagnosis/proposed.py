@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.cost_screen import CostScreen
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.diagnosis.structure_search.simulated_proposals import propose_by_simulation
+from pytest_twin.estimation.hypothesis import Hypothesis
 
 
 def proposed(problem: Problem, own: Hypothesis) -> list[Hypothesis]:

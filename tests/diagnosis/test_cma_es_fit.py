@@ -7,8 +7,6 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.fit import FittedModel, fit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.cma_es_fit import (
@@ -16,6 +14,8 @@ from pytest_twin.diagnosis.search.cma_es_fit import (
     initial_covariance_root,
     mean_absolute_deviations,
 )
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel, fit
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import make_trial
 

@@ -7,10 +7,10 @@ import pytest
 from test_first_order import ELBOW, problem_of
 
 from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import REFINE, Problem
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.effects.batch_simulator import BatchSimulator
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 
 @pytest.fixture(scope="module")

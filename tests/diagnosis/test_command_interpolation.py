@@ -11,7 +11,6 @@ from recorded_pendulum import Reality, cell
 
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.findings import Estimate, Explanation, Finding
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.signal_meaning import determine_signals, with_interpolation_uncertainty
@@ -25,6 +24,7 @@ from pytest_twin.diagnosis.signal_meaning.interpolation_after_search import expl
 from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals
 from pytest_twin.diagnosis.signal_meaning.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.estimation.hypothesis import EMPTY, Term
 
 NOISE = np.array([1e-4])
 

@@ -16,7 +16,6 @@ from pytest_twin import cli
 from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.locate import locate_error, smooth_motions
 from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.patched.replay import replay_patched
@@ -28,6 +27,7 @@ from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects.contact_geoms import CONTACT_DISTANCE, find_contact_geoms
 from pytest_twin.errors import RecordingError
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 

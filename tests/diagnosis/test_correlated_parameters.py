@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pytest_twin.diagnosis.findings import describe_correlations
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term
 from pytest_twin.diagnosis.intervals import ParameterUncertainty
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import Hypothesis, Scales, Term
 
 VISCOUS, COULOMB = Term("viscous_friction", 0), Term("coulomb_friction", 0)
 WAVY = Term("position_dependent_friction", 0)

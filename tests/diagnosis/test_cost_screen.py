@@ -7,14 +7,14 @@ import pytest
 from test_elastic_transmissions import scored_model, single_effect
 from test_first_order import ELBOW, SHOULDER, problem_of
 
-from pytest_twin.diagnosis.fit import weighted_cost
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.alternatives import AlternativeComparison
 from pytest_twin.diagnosis.search.cost_screen import CostScreen
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.search.term_exchange import TermExchange
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import weighted_cost
 
 FORCE = Term("external_force", 0)
 DELAY, DRAG = Term("command_delay", ELBOW), Term("viscous_friction", SHOULDER)

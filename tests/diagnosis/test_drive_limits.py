@@ -7,10 +7,10 @@ from test_first_order import ELBOW, problem_of
 
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.drive_limits import doubtful_limits, replace_limits
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 PROFILE = {"inverse_rate": 3.0, "inverse_effort_rate": 0.0, "of_effort": 0.0}
 SLOW, WEAK = Term("rate_limit", ELBOW), Term("torque_speed_limit", ELBOW)

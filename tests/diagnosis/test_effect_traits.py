@@ -18,12 +18,12 @@ from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.limit_refinement import is_single_amplitude_limit
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity, starting_grid
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.search.proposed_starts import starts_at
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.proposal import sizes_up_to_bound
+from pytest_twin.estimation.hypothesis import EMPTY, Term
 from pytest_twin.formats.mcap import TOPICS
 
 DIAGNOSIS = Path(pytest_twin.diagnosis.__file__).parent

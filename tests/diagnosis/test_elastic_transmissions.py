@@ -9,12 +9,12 @@ import pytest
 from proposed import proposed
 from test_first_order import ELBOW, link, problem_of
 
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.diagnosis.structure_search.settings import StructureSearchSettings
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 BACKLASH, FRICTION, LATE = (
     Term(effect, ELBOW) for effect in ("backlash", "asymmetric_friction", "command_delay")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import CHECK, OutOfTime
 from pytest_twin.diagnosis.equivalent_sets import (
     Allowed,
     AlternativeSet,
@@ -19,9 +18,7 @@ from pytest_twin.diagnosis.equivalent_sets import (
     without_mere_additions,
 )
 from pytest_twin.diagnosis.equivalent_settings import EQUIVALENT
-from pytest_twin.diagnosis.evidence import tempered_samples
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem, joint_scales, replay_nominal
 from pytest_twin.diagnosis.replacement import replace_closest_known
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
@@ -30,6 +27,9 @@ from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.shared_confidence import share_confidence
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
+from pytest_twin.estimation.deadline import CHECK, OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term, effect_values
+from pytest_twin.estimation.score import tempered_samples
 
 NOISE, SAMPLE, SECONDS = 2e-4, 0.01, 3.0
 ROBOT, FIRST, SECOND = -1, 0, 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import laplace, norm
 
-from pytest_twin.diagnosis.evidence import (
+from pytest_twin.estimation.score import (
     consistent_evidence_bound,
     laplace_log_likelihood,
     log_likelihood,

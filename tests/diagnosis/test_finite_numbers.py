@@ -14,13 +14,13 @@ from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.findings import build_estimate, build_explanation, finding_json
-from pytest_twin.diagnosis.fit import FittedModel
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.search.pruning import prune
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Parameter
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import make_trial
 

@@ -42,12 +42,12 @@ from pytest_twin.diagnosis.first_order.sensitivities import (
     starting_grid,
 )
 from pytest_twin.diagnosis.free_initial_state import free_initial_states
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import REFINE, Problem, joint_scales, replay_nominal
 from pytest_twin.diagnosis.smoothing import derivatives, smooth_state
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
+from pytest_twin.estimation.hypothesis import EMPTY, Term
 
 Hidden = Mapping[Term, Mapping[str, float]]
 """Effects of the plant that the model lacks, with parameters in SI units."""

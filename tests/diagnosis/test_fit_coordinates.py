@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_first_order import ELBOW, SHOULDER, carried, problem_of
 
-from pytest_twin.diagnosis.fit import fit, propose_step
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.search.simplification import merge_terms
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Effect
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import fit, propose_step
 
 PAYLOAD = Term("payload", -1)
 

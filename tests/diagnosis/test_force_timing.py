@@ -8,7 +8,6 @@ from test_elastic_transmissions import single_effect
 from test_first_order import SHOULDER, normal_equations, problem_of
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis import fit as fit_module
 from pytest_twin.diagnosis.first_order.beam_search import (
     CandidateSensitivities,
     NormalEquations,
@@ -16,11 +15,12 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 )
 from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
-from pytest_twin.diagnosis.fit import distant_steps, fit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.estimation import least_squares as fit_module
+from pytest_twin.estimation.hypothesis import EMPTY, Term
+from pytest_twin.estimation.least_squares import distant_steps, fit
 
 FORCE = Term("external_force", SHOULDER)
 TRUE = {"effort": 1.0, "start": 2.0, "duration": 0.6}

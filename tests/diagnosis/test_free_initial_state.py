@@ -10,9 +10,9 @@ import pytest
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.free_initial_state import FreeInitialStates, free_initial_states
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
 
 JOINTS = ("wheel",)
 STIFFNESS, DAMPING_TIME, GAP = 6.0, 0.02, 0.05

@@ -15,7 +15,6 @@ from pytest_twin.diagnosis.friction_constraint import (
     FRICTION_CREEP_NOTE,
     search_with_better_constraint,
 )
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
@@ -24,6 +23,7 @@ from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.effects.constraint import stiff_friction, stiffen_friction
 from pytest_twin.errors import SpecError
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.realization import Realization
 

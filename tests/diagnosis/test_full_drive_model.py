@@ -11,7 +11,6 @@ from test_windows import ONE, one_pendulum
 
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.findings import Explanation
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search import cma_es_fit
@@ -32,6 +31,7 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.effects import catalogue
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 DRY, VISCOUS, DELAY = 0.03, 0.04, 0.004
 DRY_FRICTION = Term("coulomb_friction", 0)

@@ -13,7 +13,7 @@ from pytest_twin.diagnosis.first_order.harmonic_search import (
     wavenumbers_to_search,
 )
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization, Sensitivity, linearize
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
+from pytest_twin.estimation.hypothesis import EMPTY, Term
 
 COGGING = Term("cogging", ELBOW)
 WAVES = Term("position_dependent_friction", ELBOW)

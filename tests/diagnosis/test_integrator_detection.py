@@ -14,7 +14,6 @@ from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.integrator_detection import adopt_simulation_step, detect_integrator
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.replay import replay_patched
@@ -23,6 +22,7 @@ from pytest_twin.diagnosis.search.scored_model import SelectedModel
 from pytest_twin.diagnosis.search_result import build_problem, conclude
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.errors import SpecError
+from pytest_twin.estimation.hypothesis import EMPTY, Term
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.gate.diagnosis_folder import write_diagnosis
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pytest_twin.diagnosis.evidence import effective_samples
-from pytest_twin.diagnosis.fit import FittedModel
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term
 from pytest_twin.diagnosis.intervals import clusters, jackknife, parameter_uncertainty
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.segment import Predicted
+from pytest_twin.estimation.hypothesis import Hypothesis, Scales, Term
+from pytest_twin.estimation.least_squares import FittedModel
+from pytest_twin.estimation.score import effective_samples
 
 SAMPLES, SEGMENTS = 600, 3
 TRUTH = np.array([1.0, -0.5])

@@ -12,8 +12,8 @@ from test_first_order import ELBOW, problem_of
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.law_forces import LawForces
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization, linearize
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 DRAG = Term("viscous_friction", ELBOW)
 

@@ -14,10 +14,10 @@ from pytest_twin.diagnosis.first_order.law_forces import ActiveEffects, LawForce
 from pytest_twin.diagnosis.first_order.measured_trajectory import measured_trajectory
 from pytest_twin.diagnosis.first_order.rigid_terms import InverseDynamics, RigidTerms, rigid_terms
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import REFERENCES
+from pytest_twin.estimation.hypothesis import EMPTY, Term, effect_values
 
 Variant = Mapping[Term, Sequence[float]]
 """Terms and their parameters, in multiples of references."""

@@ -15,13 +15,13 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
 from pytest_twin.diagnosis.first_order.sensitivities import linearize
-from pytest_twin.diagnosis.fit import fit, propose_step
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.search.elimination import eliminate
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.proposal import sizes_up_to_bound
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import fit, propose_step
 
 
 def test_a_limit_between_two_starting_sizes_is_refined_to_its_own_size() -> None:

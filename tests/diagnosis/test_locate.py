@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import (
     Motion,
     compute_missing_force,
@@ -21,6 +20,7 @@ from pytest_twin.diagnosis.locate import (
 )
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.smoothing import derivatives
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.realization import load
 from pytest_twin.trial import make_trial

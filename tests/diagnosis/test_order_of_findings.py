@@ -14,8 +14,8 @@ from pytest_twin.diagnosis.findings import (
     differences_in_floors,
     order_by_whole_motions,
 )
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
+from pytest_twin.estimation.hypothesis import EMPTY, Term
 
 WEAK, DRAG = Term("torque_constant", 0), Term("viscous_friction", ELBOW)
 SOON = 0.25

@@ -12,7 +12,6 @@ from test_first_order import carried, link
 from two_pendulums import JOINTS, mjcf, record
 
 from pytest_twin.commands.replay import find_model, load_model
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import read_effects
 from pytest_twin.diagnosis.patched.replay import replay_patched
@@ -22,6 +21,7 @@ from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import EFFECTS_FILE

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from test_equivalent_sets import PENDULUM, SERVO, problem_of, with_values
 
-from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.physical_totals import (
     impossible_effects,
     totals,
@@ -19,6 +18,7 @@ from pytest_twin.diagnosis.recorded_range import RecordedRange, unidentifiable_e
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.small_corrections import small_corrections
+from pytest_twin.estimation.hypothesis import Term
 
 DRAG, DRY = Term("viscous_friction", 0), Term("coulomb_friction", 0)
 ROTOR, SPRING = Term("armature", 0), Term("joint_spring", 0)

@@ -13,8 +13,6 @@ from two_pendulums import mjcf, record
 from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.findings import build_explanation
-from pytest_twin.diagnosis.fit import FittedModel, fit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import ParameterUncertainty
 from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.diagnosis.problem import Problem
@@ -34,6 +32,8 @@ from pytest_twin.diagnosis.search.pruning_rules import (
 )
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
 from pytest_twin.diagnosis.search.settings import ComparisonSettings
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel, fit
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.trial import Trial, make_trial
 

@@ -12,8 +12,8 @@ from test_first_order import problem_of
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.first_order.sensor_readings import ReadingChange
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import EMPTY
 
 Makes = Sequence[Callable[[Linearization, int], list[ReadingChange]]]
 RNG = np.random.default_rng(3)

@@ -10,12 +10,12 @@ import pytest
 from two_pendulums import START_NS
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import smooth_motions
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.effects.memory_warmup import WARM_UP_TIME
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.realization import Realization, load

@@ -12,10 +12,10 @@ from test_first_order import ARM, problem_of
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.measured_trajectory import measured_trajectory
 from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_models import BatchModels, PreparedBatch
+from pytest_twin.estimation.hypothesis import EMPTY, Term, effect_values
 
 UPPER_ARM = 0.3
 """Distance from the shoulder to the elbow, m."""

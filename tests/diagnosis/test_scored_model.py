@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from test_first_order import problem_of
 
-from pytest_twin.diagnosis.fit import FittedModel
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.scored_model import Place, ScoredModel, SelectedModel
+from pytest_twin.estimation.hypothesis import EMPTY, Term
+from pytest_twin.estimation.least_squares import FittedModel
 
 COULOMB, VISCOUS = Term("coulomb_friction", 0), Term("viscous_friction", 0)
 STRIBECK, GAIN = Term("stribeck_friction", 0), Term("controller_gain", 0)

@@ -8,7 +8,6 @@ from test_elastic_transmissions import scored_model, single_effect
 from test_first_order import CRANK_JOINT, ELBOW, ROBOT, SHOULDER, carried, link, problem_of
 
 from pytest_twin.diagnosis.first_order.sensitivities import linearize
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.elimination import (
     eliminate,
@@ -23,6 +22,7 @@ from pytest_twin.diagnosis.search.simplification import (
     simpler_forms,
     split_terms,
 )
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 DELAYS = [Term("command_delay", j) for j in (SHOULDER, ELBOW)]
 DRY = Term("coulomb_friction", ELBOW)

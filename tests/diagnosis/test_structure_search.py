@@ -12,11 +12,9 @@ import pytest
 from two_pendulums import mjcf, record
 
 from pytest_twin.commands.replay import load_model
-from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.beam_search import CandidateSensitivities
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
@@ -36,6 +34,8 @@ from pytest_twin.diagnosis.structure_search.proposals import (
 from pytest_twin.diagnosis.structure_search.score import SimulatedModel
 from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 
 def problem_of(folder: Path, **hidden: float) -> Problem:

@@ -10,7 +10,6 @@ from test_elastic_transmissions import scored_model, single_effect
 from test_first_order import ELBOW, ROBOT, SHOULDER, carried, problem_of
 
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.refusal import refused_effects
 from pytest_twin.diagnosis.run import Run
@@ -33,6 +32,7 @@ from pytest_twin.diagnosis.search.term_exchange import (
     find_exchanges,
     simulated_evidence,
 )
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 MASS, BODY = Term("payload", ROBOT), Term("inertial_parameters", ELBOW)
 SPRING, REFLECTED = Term("joint_spring", ELBOW), Term("armature", ELBOW)

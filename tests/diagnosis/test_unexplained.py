@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from pytest_twin.diagnosis.findings import Explanation
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
@@ -18,6 +17,7 @@ from pytest_twin.diagnosis.search_result import SearchResult, build_problem, res
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import locate_unexplained
 from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
 from pytest_twin.realization import load
 from pytest_twin.trial import make_trial

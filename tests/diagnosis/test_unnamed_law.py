@@ -18,7 +18,6 @@ from one_joint_plant import JOINT, STEP, Hidden, record
 
 from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel, read_effects
@@ -42,6 +41,7 @@ from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, fit_free_laws
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.segment import Predicted
 from pytest_twin.effects.unnamed_law import KNOTS, POSITION, UnnamedLaw
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.realization import load
 from pytest_twin.report.finding_words import finding_sentence

@@ -15,7 +15,6 @@ from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.free_initial_state import count_free_states
-from pytest_twin.diagnosis.hypothesis import EMPTY, Term
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_result import (
@@ -27,6 +26,7 @@ from pytest_twin.diagnosis.search_result import (
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.windows import WINDOW
+from pytest_twin.estimation.hypothesis import EMPTY, Term
 from pytest_twin.realization import Realization
 
 LAG, SHORT_LAG = 0.05, 0.01

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term, effect_values
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
+from pytest_twin.estimation.hypothesis import Hypothesis, Scales, Term, effect_values
 
 KP, MASS, LENGTH, ARMATURE, STEP = 1.5, 0.5, 0.1, 0.001, 0.001
 WEIGHT, INERTIA = MASS * 9.81 * LENGTH, MASS * LENGTH**2 + ARMATURE

@@ -7,8 +7,8 @@ import pytest
 from test_further_effects import Drive, found_by_the_drive_stage
 from test_identify_simulation import NOMINAL
 
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.identification.simulation.passive_joints import impossible, with_largest_back_emf
 from pytest_twin.identification.simulation.stage_fit import held_out_error
 

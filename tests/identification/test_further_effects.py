@@ -14,12 +14,12 @@ import pytest
 from test_identify_simulation import MODEL, NOMINAL, REAL
 
 from pytest_twin import cli
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 from pytest_twin.identification.simulation import identify
 from pytest_twin.identification.simulation.stage_effects import FURTHER, StagePlan
 from pytest_twin.identification.simulation.stage_fit import add_effects, held_out_error

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.effects import catalogue
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.identification.simulation.document import parameters_with_covariance
 
 COULOMB, EXCESS, VELOCITY = (

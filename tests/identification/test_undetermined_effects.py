@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from test_identify_simulation import MODEL, NOMINAL
 
-from pytest_twin.diagnosis.hypothesis import EMPTY
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.excitation.approved_limits import MECHANISMS
 from pytest_twin.identification.motions import (
     undetermined_by_command,

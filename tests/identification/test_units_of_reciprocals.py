@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import reciprocal_unit
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.identification.simulation.document import parameters_with_covariance
 
 

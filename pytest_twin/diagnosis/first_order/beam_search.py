@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import check_deadline
-from pytest_twin.diagnosis.evidence import effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
-from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
+from pytest_twin.estimation.deadline import check_deadline
+from pytest_twin.estimation.hypothesis import Term
+from pytest_twin.estimation.score import effective_samples, log_likelihood
 from pytest_twin.realization.executor import Forks
 
 _RIDGE = 1e-8

@@ -22,9 +22,9 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 )
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization, Sensitivity
 from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
-from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.effects.base import Parameter
+from pytest_twin.estimation.hypothesis import Term
 
 _AT_ONCE = 32
 """Number of waves in a batch."""

@@ -18,7 +18,7 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization, Sensitivity
 from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
-from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.estimation.hypothesis import Hypothesis
 
 # Iterations of each fit.
 _ROUNDS = 3

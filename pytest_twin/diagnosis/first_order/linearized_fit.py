@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import check_deadline
 from pytest_twin.diagnosis.first_order.beam_search import ResidualView
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.fit import finite_differences, propose_steps, weighted_cost
-from pytest_twin.diagnosis.hypothesis import Hypothesis
+from pytest_twin.estimation.deadline import check_deadline
+from pytest_twin.estimation.hypothesis import Hypothesis
+from pytest_twin.estimation.least_squares import finite_differences, propose_steps, weighted_cost
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.settings import FIRST_ORDER
-from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.diagnosis.verdict import UNSEEN
+from pytest_twin.estimation.hypothesis import Hypothesis
 
 
 @dataclass(frozen=True, slots=True)

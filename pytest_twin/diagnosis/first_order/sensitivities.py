@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import check_deadline
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.law_forces import Forces, LawForces, state_force_derivatives
 from pytest_twin.diagnosis.first_order.linearized_dynamics import (
@@ -40,7 +39,6 @@ from pytest_twin.diagnosis.free_initial_state import (
     count_free_states,
     free_initial_state,
 )
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term, absent_values, effect_values
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.active_effects import (
     STEP_HOOKS,
@@ -50,6 +48,8 @@ from pytest_twin.effects.active_effects import (
 )
 from pytest_twin.effects.base import Effect, Values
 from pytest_twin.effects.proposal import starting_sizes
+from pytest_twin.estimation.deadline import check_deadline
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term, absent_values, effect_values
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 

@@ -10,7 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.problem import Problem
@@ -25,6 +24,7 @@ from pytest_twin.effects import (
 )
 from pytest_twin.effects.base import ModelFields
 from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.realization import Realization, mjcf_file, patch
 from pytest_twin.realization.inertia import compiled_inertia, six_components
 from pytest_twin.realization.mjcf import compile_spec

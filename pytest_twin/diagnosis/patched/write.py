@@ -13,12 +13,12 @@ from typing import Any
 
 import yaml
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.patched.model import MODEL_FILE, PatchedModel, effects_json
 from pytest_twin.diagnosis.patched.native import NativeWriter
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects import catalogue
+from pytest_twin.estimation.hypothesis import Hypothesis
 from pytest_twin.formats import atomic
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import CommandBetween

@@ -13,9 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.evidence import consistent_evidence_bound
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused_effects
 from pytest_twin.diagnosis.search.elimination import EliminationResult, eliminate, have_same_forms
@@ -40,6 +37,9 @@ from pytest_twin.diagnosis.search.term_exchange import (
     find_exchanges,
     simulated_evidence,
 )
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
+from pytest_twin.estimation.score import consistent_evidence_bound
 
 
 class AlternativeComparison:

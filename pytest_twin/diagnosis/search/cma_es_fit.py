@@ -15,9 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import FittedModel
-from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import Hypothesis
+from pytest_twin.estimation.least_squares import FittedModel
 
 # Number of searches, and evaluations of each for each parameter: all searches make the first half
 # of them, and the best search alone makes the second half.

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.cost_screen import CostScreen
 from pytest_twin.diagnosis.search.proposed_starts import starts_at
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 # A size is refined in two rounds, each over a geometric grid of ``_SIZES`` within these factors.
 _SIZES, _REFINEMENTS = 9, (1.25, 1.05)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization, linearize
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.linearized_evidence import fit_and_score_linearized
 from pytest_twin.diagnosis.search.linearized_view import residual_view
 from pytest_twin.diagnosis.search.model_comparison import (
@@ -26,6 +25,7 @@ from pytest_twin.diagnosis.search.simplification import (
     special_cases,
     split_terms,
 )
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 # Fits until convergence, one after another: the weights of the first ones are from large residuals.
 _ROUNDS = 3

@@ -14,8 +14,8 @@ from pytest_twin.diagnosis.first_order.linearized_fit import (
     fit_linearized,
 )
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.hypothesis import Hypothesis
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.estimation.hypothesis import Hypothesis
 
 
 def linearized_evidence(

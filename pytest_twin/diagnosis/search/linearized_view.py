@@ -21,10 +21,10 @@ from pytest_twin.diagnosis.first_order.sensitivities import (
     sensitivities_around,
     simulated_sensitivities,
 )
-from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange, why_unidentifiable
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.estimation.hypothesis import Term
 
 
 @dataclass(frozen=True, slots=True)

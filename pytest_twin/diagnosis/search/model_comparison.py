@@ -14,15 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import OutOfTime
-from pytest_twin.diagnosis.evidence import Likelihood, effective_samples, log_likelihood
 from pytest_twin.diagnosis.first_order.beam_search import (
     candidates,
     effect_penalty,
     parameter_penalty,
 )
-from pytest_twin.diagnosis.fit import fit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run, ScoredHypothesis
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
@@ -30,6 +26,10 @@ from pytest_twin.diagnosis.search.settings import COMPARISON
 from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict import own_mismatch, reduces_error_enough
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import fit
+from pytest_twin.estimation.score import Likelihood, effective_samples, log_likelihood
 
 RANKING_ITERATIONS, DECIDING_ITERATIONS, FULL_ITERATIONS = 2, 4, 8
 """Iterations of a fit that ranks models, of one that decides between them, and of a full fit."""

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 def in_noise_floors(residual: FloatArray, floor: FloatArray) -> FloatArray:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.proposal import JointFit, Start
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 def starts_at(problem: Problem, own: Hypothesis, term: Term) -> list[Start]:

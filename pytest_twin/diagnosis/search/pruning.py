@@ -8,9 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import laplace_log_likelihood
-from pytest_twin.diagnosis.fit import FittedModel, fit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, label, levels_on
@@ -22,6 +19,9 @@ from pytest_twin.diagnosis.search.pruning_rules import (
 )
 from pytest_twin.diagnosis.search.pruning_settings import SETTINGS
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel, fit
+from pytest_twin.estimation.score import laplace_log_likelihood
 
 
 @dataclass(slots=True)

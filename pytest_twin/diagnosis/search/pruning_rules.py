@@ -9,8 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import FittedModel, fit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
 from pytest_twin.diagnosis.locate import compute_missing_force
 from pytest_twin.diagnosis.problem import Problem
@@ -19,6 +17,8 @@ from pytest_twin.diagnosis.search.pruning_settings import SETTINGS
 from pytest_twin.diagnosis.smoothing import derivatives
 from pytest_twin.diagnosis.verdict import JointError, own_mismatch, reduces_error_enough
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel, fit
 
 Rejections = Mapping[int, str]
 """Rejected effects by their number in the model, with the line that the reader gets of each."""

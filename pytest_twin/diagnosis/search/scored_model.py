@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import FittedModel
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.settings import SELECTION
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel
 
 Place = tuple[tuple[Term, ...], Term | None]
 """Terms that are removed, and the term that replaces them; None for no term."""

@@ -10,9 +10,9 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 def merge_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:

@@ -20,7 +20,6 @@ from pytest_twin.diagnosis.first_order.beam_search import NormalEquations, Resid
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_evidence import (
     fit_and_score_linearized,
@@ -29,6 +28,7 @@ from pytest_twin.diagnosis.search.linearized_evidence import (
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.search.scored_model import Place, ScoredModel
 from pytest_twin.diagnosis.search.settings import EXCHANGE, SELECTION
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 @dataclass(frozen=True, slots=True)

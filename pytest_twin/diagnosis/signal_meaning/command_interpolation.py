@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
+from pytest_twin.estimation.score import effective_samples
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 
 MEAN_DELAY: Mapping[CommandBetween, float] = {"held": 0.5, "interpolated": 0.0, "ramped": 1.0}

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term, effect_values
 from pytest_twin.diagnosis.problem import Problem, add_step_error
 from pytest_twin.diagnosis.signal_meaning.settings import JOINT_FIT
 from pytest_twin.effects.actuation import ActuatorLag, ControllerGain, DeadZone
@@ -25,6 +24,7 @@ from pytest_twin.effects.rigid_body import Armature
 from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.effects.transmission import JointSpring
+from pytest_twin.estimation.hypothesis import Hypothesis, Term, effect_values
 
 PRIOR_DEVIATIONS: dict[tuple[str, str], float] = {
     (CommandDelay.id, "delay"): 0.02,

@@ -25,7 +25,6 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.linearized_fit import LinearizedFit, fit_linearized
 from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.search.linearized_evidence import linearized_evidence
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.search.scored_model import ScoredModel
@@ -40,6 +39,7 @@ from pytest_twin.diagnosis.search.simplification import (
 from pytest_twin.diagnosis.structure_search.score import Scorer
 from pytest_twin.diagnosis.structure_search.settings import StructureSearchSettings
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 _ITERATIONS = 3
 """Of a fit along the motion."""

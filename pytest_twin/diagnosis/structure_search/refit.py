@@ -14,10 +14,10 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
-from pytest_twin.diagnosis.fit import FittedModel, fit
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.linearized_view import LinearizedView
 from pytest_twin.diagnosis.structure_search.score import Scorer, SimulatedModel
+from pytest_twin.estimation.least_squares import FittedModel, fit
 
 _ITERATIONS = 3
 """Iterations of a fit in the linearized motion."""

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.first_order.beam_search import effect_penalty, parameter_penalty
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
+from pytest_twin.estimation.score import effective_samples
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.deadline import OutOfTime
 from pytest_twin.diagnosis.first_order.beam_search import candidates
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused_effects
@@ -39,6 +37,8 @@ from pytest_twin.diagnosis.structure_search.settings import SETTINGS, StructureS
 from pytest_twin.diagnosis.structure_search.simulated_proposals import propose_by_simulation
 from pytest_twin.diagnosis.trace import Decision
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 
 
 @dataclass(slots=True)

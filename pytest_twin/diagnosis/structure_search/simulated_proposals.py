@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.fit import fit
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.cost_screen import CostScreen
 from pytest_twin.diagnosis.search.drive_limits import refine_limit_sizes
 from pytest_twin.diagnosis.search.proposed_starts import starts_at
 from pytest_twin.diagnosis.structure_search.score import Scorer, SimulatedModel
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
+from pytest_twin.estimation.least_squares import fit
 
 _SIMULATED = 4
 """Number of proposals that are simulated on all recordings."""

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search_result import (
@@ -23,6 +22,7 @@ from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, fit_free_laws
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.diagnosis.windows import WINDOW
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 @dataclass(frozen=True, slots=True)

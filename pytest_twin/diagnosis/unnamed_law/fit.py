@@ -18,7 +18,6 @@ from scipy.special import stdtr, stdtrit
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import joint_type, joint_unit
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
@@ -35,6 +34,7 @@ from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.diagnosis.unnamed_law.shape import Curve, matching_effect
 from pytest_twin.diagnosis.unnamed_law.table_fit import SimulatedTables, fit_tables
 from pytest_twin.diagnosis.verdict import UNSEEN
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.unnamed_law.shape import Curve, describe_curve
 from pytest_twin.effects.unnamed_law import UnnamedLaw
+from pytest_twin.estimation.hypothesis import Term
 
 _KNOWN_SHAPE = "its shape is that of {}: inspect the joint for that cause"
 _NEXT_TEST = (

@@ -14,13 +14,13 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.unnamed_law.covariates import Covariate
 from pytest_twin.diagnosis.unnamed_law.regression import Regression
 from pytest_twin.diagnosis.unnamed_law.selection import JointResidual, TableFit
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
 from pytest_twin.effects.unnamed_law import TABLES, UnnamedFriction
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 _STEPS, _HALVINGS = 4, 3
 """Largest number of Gauss-Newton steps, and of step sizes that are tried in each, which are

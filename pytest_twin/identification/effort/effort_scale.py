@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
+from pytest_twin.estimation.score import effective_samples
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import Filter

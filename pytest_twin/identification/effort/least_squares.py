@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.diagnosis.intervals import clusters, jackknife
+from pytest_twin.estimation.score import effective_samples
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.recording_rows import RecordingRows
 from pytest_twin.identification.regressor import predicted_covariance

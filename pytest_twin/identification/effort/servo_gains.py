@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.evidence import effective_samples
 from pytest_twin.effects.base import si_unit
+from pytest_twin.estimation.score import effective_samples
 from pytest_twin.identification.effort.delay import without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
 from pytest_twin.identification.effort.effort_scale import divide_by_scales

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
+from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.motions import undetermined_by_command
 from pytest_twin.identification.records import correlated_pairs, verdict_of
 from pytest_twin.identification.simulation.command_mistakes import command_mistakes

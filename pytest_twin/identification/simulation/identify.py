@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import FittedModel
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel
@@ -22,6 +20,8 @@ from pytest_twin.diagnosis.search_result import build_problem, joint_errors, res
 from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel
 from pytest_twin.identification.simulation.equation_error import first_values
 from pytest_twin.identification.simulation.stage_effects import (
     ALL_STAGES,

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis import physical_totals
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Parameter
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 # A back-EMF may exceed the damping by this share of it: rounding of a fit that ends at the bound.
 _TOLERANCE = 1e-6

@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Scales, Term
 from pytest_twin.effects import catalogue
+from pytest_twin.estimation.hypothesis import Hypothesis, Scales, Term
 from pytest_twin.identification.stages import StageName
 
 SIMULATED: Mapping[StageName, tuple[str, ...]] = {

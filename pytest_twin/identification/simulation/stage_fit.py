@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.fit import FittedModel, finite_differences, fit
-from pytest_twin.diagnosis.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.diagnosis.physical_totals import without_negative_totals
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel, finite_differences, fit
 from pytest_twin.identification.paired_test import compare_paired
 from pytest_twin.identification.simulation.passive_joints import (
     LargestBackEmf,

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pytest_twin.diagnosis.hypothesis import Hypothesis, Term
 from pytest_twin.diagnosis.intervals import parameter_uncertainty
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.identification.simulation.stage_effects import SIMULATED, terms_of
 from pytest_twin.identification.simulation.stage_fit import with_derivatives
 from pytest_twin.identification.stages import StageName
