@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from jsonschema_rs import ValidationError, ValidationErrorKind
 
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.yaml import Document
-
-if TYPE_CHECKING:
-    from jsonschema.exceptions import ValidationError
 
 _TYPE_WORDS = {
     "object": "a mapping of fields",
@@ -28,49 +28,66 @@ _BOUND_WORDS = {
     "maximum": "at most",
     "exclusiveMaximum": "less than",
 }
-_VALIDATORS: dict[int, tuple[Mapping[str, Any], Any]] = {}
+_NO_BRANCH_FITS = (ValidationErrorKind.AnyOf, ValidationErrorKind.OneOfNotValid)
 
 
-def explain(document: Document, schema: Mapping[str, Any], path: Path) -> SpecError | None:
-    """Return the violation to correct first, or None if the document is valid."""
-    kept = _VALIDATORS.get(id(schema))
-    if kept is None:
-        from jsonschema import Draft202012Validator
-
-        kept = _VALIDATORS[id(schema)] = (schema, Draft202012Validator(dict(schema)))
-    errors = [_deepest(error) for error in kept[1].iter_errors(document.data)]
-    if not errors:
-        return None
-    error = min(errors, key=lambda e: (_rank(e), _line(document, _field(e)) or 0))
-    return _as_spec_error(error, document, path)
+def explain(
+    errors: list[ValidationError], document: Document, schema: Mapping[str, Any], path: Path
+) -> SpecError:
+    """Return the violation to correct first."""
+    deepest = [_deepest(error) for error in errors]
+    error = min(
+        deepest,
+        key=lambda e: (_rank(e), _line(document, _field(e)) or 0, -len(e.instance_path)),
+    )
+    return _as_spec_error(error, document, schema, path)
 
 
 def _deepest(error: ValidationError) -> ValidationError:
     """Descend into anyOf and oneOf, along the branch that matched most of the document."""
-    while error.context:
-        branches: dict[Any, list[ValidationError]] = {}
-        for inner in error.context:
-            branches.setdefault(inner.schema_path[0], []).append(inner)
-
-        def distance(branch: list[ValidationError]) -> tuple[int, int]:
-            here = [e for e in branch if not e.path and e.validator in ("type", "const", "enum")]
-            return (len(here), -max(len(e.absolute_path) for e in branch))
-
-        nearest = min(branches.values(), key=distance)
-        if all(not e.path and e.validator == "type" for e in error.context):
+    while isinstance(error.kind, _NO_BRANCH_FITS):
+        depth = len(error.instance_path)
+        branches = error.kind.context
+        if all(
+            len(e.instance_path) == depth and e.kind.name == "type" for b in branches for e in b
+        ):
             return error
-        error = max(nearest, key=lambda e: len(e.absolute_path))
+        nearest = min(branches, key=partial(_distance, depth=depth))
+        error = max(nearest, key=lambda e: (len(e.instance_path), -_rank(e)))
     return error
+
+
+def _distance(branch: list[ValidationError], depth: int) -> tuple[int, int]:
+    """Order the branches of an object ``depth`` fields deep by how little of it they match."""
+    of_object = [
+        e
+        for e in branch
+        if len(e.instance_path) == depth and e.kind.name in ("type", "const", "enum")
+    ]
+    return (len(of_object), -max(len(e.instance_path) for e in branch))
 
 
 def _rank(error: ValidationError) -> int:
     # A misspelt field explains a missing one; a wrong kind explains all errors that result.
-    order = ("const", "enum", "additionalProperties", "propertyNames", "required")
-    return order.index(error.validator) if error.validator in order[2:] else 0
+    return {"additionalProperties": 1, "required": 2}.get(error.kind.name, 0)
+
+
+def _keyword(error: ValidationError) -> str:
+    # The library reports a violation of dependentRequired as one of "required".
+    by_another = error.schema_path[-1:] == ["dependentRequired"]
+    return "dependentRequired" if by_another else error.kind.name
+
+
+def _schema_of(error: ValidationError, root: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the part of the schema that has the violated keyword."""
+    schema: Any = root
+    for part in error.schema_path[:-1]:
+        schema = schema[part]
+    return schema if isinstance(schema, Mapping) else {}
 
 
 def _field(error: ValidationError) -> str:
-    return ".".join(str(part) for part in error.absolute_path)
+    return ".".join(str(part) for part in error.instance_path)
 
 
 def _line(document: Document, where: str) -> int | None:
@@ -82,12 +99,16 @@ def _line(document: Document, where: str) -> int | None:
     return document.lines.get("")
 
 
-def _as_spec_error(error: ValidationError, document: Document, path: Path) -> SpecError:
+def _as_spec_error(
+    error: ValidationError, document: Document, root: Mapping[str, Any], path: Path
+) -> SpecError:
     where = _field(error)
+    if isinstance(error.kind, ValidationErrorKind.PropertyNames):
+        error = error.kind.error
     value: Any = error.instance
-    bound: Any = error.validator_value
-    schema: Any = error.schema
-    kind = str(error.validator)
+    kind = _keyword(error)
+    schema = _schema_of(error, root)
+    bound: Any = schema.get(kind)
     shown: object = value if isinstance(value, str | int | float | bool) else None
     expected: str | None = None
     if kind == "additionalProperties":
@@ -96,10 +117,12 @@ def _as_spec_error(error: ValidationError, document: Document, path: Path) -> Sp
         name = extra[0] if extra else where
         where = f"{where}.{name}" if where else name
         problem, shown, expected = "is not a known field", None, _closest(name, known, most=40)
-    elif kind == "required":
-        missing = [name for name in bound if name not in value]
-        problem, shown = f"field {missing[0]!r} is missing", None
-        expected = _description(schema.get("properties", {}).get(missing[0]))
+    elif isinstance(error.kind, ValidationErrorKind.Required):
+        name, shown = error.kind.property, None
+        problem = f"field {name!r} is missing"
+        if kind != "required":
+            problem += " beside " + next(repr(k) for k in value if name in bound.get(k, ()))
+        expected = _description(schema.get("properties", {}).get(name))
     elif kind in ("enum", "const"):
         allowed = list(bound) if kind == "enum" else [bound]
         problem, shown = "is not one of the allowed values", _scalar_or_none(value)
@@ -127,14 +150,12 @@ def _as_spec_error(error: ValidationError, document: Document, path: Path) -> Sp
     elif kind == "uniqueItems":
         problem, shown, expected = "contains a value twice", None, "each value once"
     elif kind in ("anyOf", "oneOf"):
-        problem, expected = "has none of the allowed forms", _description(schema)
-        if expected is None:
-            expected = (
-                " or ".join(dict.fromkeys(filter(None, (_description(branch) for branch in bound))))
-                or None
-            )
-    elif kind == "dependentRequired":
-        problem, shown = error.message, None
+        several = isinstance(error.kind, ValidationErrorKind.OneOfMultipleValid)
+        problem = f"has {'several' if several else 'none'} of the allowed forms"
+        forms = dict.fromkeys(_description(branch) for branch in bound)
+        expected = _description(schema) or " or ".join(filter(None, forms)) or None
+    elif kind == "not":
+        problem, expected = "is not allowed", _description(schema)
     else:
         problem = error.message
     return SpecError(

@@ -11,8 +11,6 @@ from check_robots import ARM, failed, measure
 from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.tcp_accuracy import TcpAccuracy
 from pytest_twin.errors import SpecError
-from pytest_twin.formats.schema_compiler import compile_schema
-from pytest_twin.gate.schema import schema_of
 from pytest_twin.gate.specs import load_golden
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import quaternion_of
@@ -174,4 +172,3 @@ def test_the_documented_tcp_accuracy_example_loads(tmp_path: Path) -> None:
     path = tmp_path / "golden" / "tool.yaml"
     path.write_text(PAGE.read_text().split("```yaml\n")[1].split("```")[0])
     assert load_golden(path, load_twin(tmp_path / "twin.yaml")).kind == "tcp_accuracy"
-    assert compile_schema(schema_of("tcp_accuracy")) is not None

@@ -103,12 +103,40 @@ def test_a_valid_document_passes() -> None:
     schema.validate(yaml.loads(text, PATH), SCHEMA, PATH)
 
 
-def test_shipped_schemas_are_cached_and_can_be_compiled() -> None:
-    from pytest_twin.formats.schema_compiler import compile_schema
+def test_shipped_schemas_are_cached() -> None:
+    assert schema.load_schema("twin.schema.json") is schema.load_schema("twin.schema.json")
 
-    found = schema.load_schema("twin.schema.json")
-    assert schema.load_schema("twin.schema.json") is found
-    assert compile_schema(found) is not None
+
+@pytest.mark.parametrize(
+    "broken", [{"type": "txt"}, {"$ref": "#/$defs/none"}, {"$ref": "https://example.org/a.json"}]
+)
+def test_a_schema_that_is_not_valid_is_reported(broken: dict[str, Any]) -> None:
+    with pytest.raises(SpecError, match="the check of this kind has no valid schema"):
+        schema.validate(yaml.loads("a: 1", PATH), broken, PATH)
+
+
+def test_a_line_feed_at_the_end_does_not_pass_a_pattern_without_control_characters() -> None:
+    text = {"properties": {"name": {"type": "string", "pattern": "^[^\u0000-\u001f]+$"}}}
+    with pytest.raises(SpecError, match="name: has the wrong form"):
+        schema.validate(yaml.loads('name: "arm\\n"', PATH), text, PATH)
+
+
+@pytest.mark.parametrize(
+    ("part", "text", "words"),
+    [
+        ({"propertyNames": {"pattern": "^[a-z]+$"}}, "a: {B: 1}", "a: has the wrong form (got 'B'"),
+        ({"dependentRequired": {"x": ["y"]}}, "a: {x: 1}", "a: field 'y' is missing beside 'x'"),
+        ({"not": {"const": 0}, "description": "A ratio."}, "a: 0", "a: is not allowed (got 0; "),
+        ({"if": {"type": "object"}, "then": {"required": ["z"]}}, "a: {}", "field 'z' is missing"),
+        ({"oneOf": [{"minimum": 1}, {"maximum": 2}]}, "a: 1", "a: has several of the allowed"),
+        ({"$ref": "#/$defs/x"}, "a: 1", "a: is a number (got 1; expected text)"),
+    ],
+)
+def test_every_keyword_has_words(part: dict[str, Any], text: str, words: str) -> None:
+    whole = {"properties": {"a": part}, "$defs": {"x": {"type": "string"}}}
+    with pytest.raises(SpecError) as caught:
+        schema.validate(yaml.loads(text, PATH), whole, PATH)
+    assert words in str(caught.value)
 
 
 def test_an_unknown_schema_is_an_error() -> None:
