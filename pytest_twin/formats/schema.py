@@ -11,16 +11,16 @@ from collections.abc import Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
-
-import jsonschema_rs
+from typing import TYPE_CHECKING, Any
 
 from pytest_twin.errors import SpecError
-from pytest_twin.formats.schema_errors import explain
 from pytest_twin.formats.yaml import Document
 
+if TYPE_CHECKING:
+    from jsonschema_rs import Draft202012Validator
+
 # Keyed by id(schema); storing the schema keeps that id from being reused.
-_COMPILED: dict[int, tuple[Mapping[str, Any], jsonschema_rs.Draft202012Validator]] = {}
+_COMPILED: dict[int, tuple[Mapping[str, Any], Draft202012Validator]] = {}
 
 
 def validate(document: Document, schema: Mapping[str, Any], path: Path) -> None:
@@ -34,6 +34,8 @@ def validate(document: Document, schema: Mapping[str, Any], path: Path) -> None:
     """
     compiled = _COMPILED.get(id(schema))
     if compiled is None:
+        import jsonschema_rs
+
         try:
             # offline: a schema may not make us read files or ask a server.
             validator = jsonschema_rs.Draft202012Validator(dict(schema), offline=True)
@@ -47,6 +49,8 @@ def validate(document: Document, schema: Mapping[str, Any], path: Path) -> None:
         compiled = _COMPILED[id(schema)] = (schema, validator)
     validator = compiled[1]
     if not validator.is_valid(document.data):
+        from pytest_twin.formats.schema_errors import explain
+
         raise explain(list(validator.iter_errors(document.data)), document, schema, path)
 
 
