@@ -15,6 +15,7 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
+from pytest_twin.checks.schemas import NO_FIELDS
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.installed import entry_points_by_name
@@ -23,8 +24,6 @@ from pytest_twin.words import counted
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
-
-_NO_FIELDS: Mapping[str, Any] = {"type": "object", "additionalProperties": False}
 
 
 class AssetAudit(Check):
@@ -38,7 +37,7 @@ class AssetAudit(Check):
     kind: ClassVar[str] = "asset"
     libraries: ClassVar[tuple[str, ...]] = ("numpy",)
     tolerances: ClassVar[Mapping[str, str]] = {}
-    schema: ClassVar[Mapping[str, Any]] = {"target": _NO_FIELDS, "stimulus": _NO_FIELDS}
+    schema: ClassVar[Mapping[str, Any]] = {"target": NO_FIELDS, "stimulus": NO_FIELDS}
     simulators: ClassVar[tuple[Simulator, ...]] = ("mujoco", "newton")
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

@@ -17,10 +17,11 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
-from pytest_twin.checks.fields import TEXT, known_name, spec_error
+from pytest_twin.checks.fields import known_name, spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.checks.poses import encoder_parts
 from pytest_twin.checks.records import check_unchanged, twin_of
+from pytest_twin.checks.schemas import NO_FIELDS, name_field, table
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.twin import CalibrationEntry, Twin
@@ -48,40 +49,31 @@ class CalibrationCheck(Check):
     tolerances: ClassVar[Mapping[str, str]] = {"position": "m", "orientation": "rad"}
     required_tolerances: ClassVar[frozenset[str]] = frozenset({"position"})
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "record": {**TEXT, "description": "Id under calibrations: in twin.yaml."},
-                "plan": {
-                    **TEXT,
-                    "description": "The calibration.yaml of the record. The path is relative to "
-                    "the twin's folder or to one of its roots.",
-                },
-                "observations": {
-                    **TEXT,
-                    "description": "File of the record's observations. The path is given as for "
-                    "the plan. A calibration of streams has none.",
-                },
-                "streams": {
-                    "type": "object",
-                    "properties": {
-                        "hand": {**TEXT, "description": "Poses on the hand's clock."},
-                        "camera": {**TEXT, "description": "Poses on the camera's clock."},
+        "target": table(
+            {
+                "record": name_field("Id under calibrations: in twin.yaml."),
+                "plan": name_field(
+                    "The calibration.yaml of the record. The path is relative to "
+                    "the twin's folder or to one of its roots."
+                ),
+                "observations": name_field(
+                    "File of the record's observations. The path is given as for "
+                    "the plan. A calibration of streams has none."
+                ),
+                "streams": table(
+                    {
+                        "hand": name_field("Poses on the hand's clock."),
+                        "camera": name_field("Poses on the camera's clock."),
                     },
-                    "required": ["hand", "camera"],
-                    "additionalProperties": False,
-                    "description": "Files of the record's two pose streams, instead of "
-                    "observations. The paths are given as for the plan.",
-                },
-                "flange": {
-                    **TEXT,
-                    "description": "The plan's flange, if the plan has a robot.",
-                },
+                    "Files of the record's two pose streams, instead of observations. The paths "
+                    "are given as for the plan.",
+                    required=["hand", "camera"],
+                ),
+                "flange": name_field("The plan's flange, if the plan has a robot."),
             },
-            "required": ["record", "plan"],
-            "additionalProperties": False,
-        },
-        "stimulus": {"type": "object", "additionalProperties": False},
+            required=["record", "plan"],
+        ),
+        "stimulus": NO_FIELDS,
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

@@ -25,6 +25,7 @@ from pytest_twin.checks.poses import (
     recorded_poses,
     resolve_poses,
 )
+from pytest_twin.checks.schemas import array, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 
@@ -36,12 +37,7 @@ if TYPE_CHECKING:
 
 _NAN = float("nan")
 _FIRST_PAIRS = 12  # pairs of a first spec
-_NAMES_SCHEMA: Mapping[str, Any] = {
-    "type": "array",
-    "items": {"type": "string", "minLength": 1},
-    "minItems": 2,
-    "uniqueItems": True,
-}
+_NAMES_SCHEMA: Mapping[str, Any] = array(text(minLength=1), minItems=2, uniqueItems=True)
 
 
 class CollisionDistance(Check):
@@ -64,22 +60,16 @@ class CollisionDistance(Check):
     tolerances: ClassVar[Mapping[str, str]] = {"distance": "m", "penetration": "m"}
     required_tolerances: ClassVar[frozenset[str]] = frozenset({"distance"})
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "pairs": {
-                    "type": "array",
-                    "items": {**_NAMES_SCHEMA, "maxItems": 2},
-                    "description": "Pairs of bodies or geoms whose distance is compared. A name "
-                    "that both a body and a geom have means the geom.",
-                },
-                "disabled": {
-                    "type": "array",
-                    "description": "All pairs of bodies whose collision the model disables, with "
-                    "the reasons.",
-                    "items": {
-                        "type": "object",
-                        "properties": {
+        "target": table(
+            {
+                "pairs": array(
+                    {**_NAMES_SCHEMA, "maxItems": 2},
+                    "Pairs of bodies or geoms whose distance is compared. A name that both a body "
+                    "and a geom have means the geom.",
+                ),
+                "disabled": array(
+                    table(
+                        {
                             "pair": {
                                 **_NAMES_SCHEMA,
                                 "maxItems": 2,
@@ -89,27 +79,19 @@ class CollisionDistance(Check):
                                 **_NAMES_SCHEMA,
                                 "description": "Bodies; the reason holds for each pair of them.",
                             },
-                            "reason": {
-                                "type": "string",
-                                "pattern": "\\S",
-                                "description": "Why these bodies may pass through each other.",
-                            },
+                            "reason": text(
+                                "Why these bodies may pass through each other.", pattern="\\S"
+                            ),
                         },
-                        "required": ["reason"],
-                        "oneOf": [{"required": ["pair"]}, {"required": ["among"]}],
-                        "additionalProperties": False,
-                    },
-                },
+                        required=["reason"],
+                        oneOf=[{"required": ["pair"]}, {"required": ["among"]}],
+                    ),
+                    "All pairs of bodies whose collision the model disables, with the reasons.",
+                ),
             },
-            "required": ["pairs", "disabled"],
-            "additionalProperties": False,
-        },
-        "stimulus": {
-            "type": "object",
-            "properties": {"poses": POSES_SCHEMA},
-            "required": ["poses"],
-            "additionalProperties": False,
-        },
+            required=["pairs", "disabled"],
+        ),
+        "stimulus": table({"poses": POSES_SCHEMA}, required=["poses"]),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

@@ -15,9 +15,10 @@ from pytest_twin.checks.base import (
     Trace,
 )
 from pytest_twin.checks.contact_scene import FLOOR, OBJECT, SIZES, Scene
-from pytest_twin.checks.fields import GRAVITY_SCHEMA, QUANTITY_SCHEMA
+from pytest_twin.checks.fields import GRAVITY_SCHEMA
 from pytest_twin.checks.poses import POSE_SCHEMA, keyframe_parts
 from pytest_twin.checks.scalar_measures import declared_measure, scalar_measures
+from pytest_twin.checks.schemas import array, choice, mapping, number, quantity_field, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.golden import Golden
@@ -48,12 +49,7 @@ _UNDEFINED = {
     "restitution": "nothing came down on the pair",
     "slip": "the object is not held to the end",
 }
-_VECTOR: Mapping[str, Any] = {
-    "type": "array",
-    "items": {"type": "number"},
-    "minItems": 3,
-    "maxItems": 3,
-}
+_VECTOR: Mapping[str, Any] = array(number(), count=3)
 
 
 class Contact(Check):
@@ -83,142 +79,110 @@ class Contact(Check):
         **contact_toss.UNITS,
     }
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "primitive": {
-                    "enum": ["approach", "slide", "release", "grip", "toss"],
-                    "description": "How the pair is brought into contact.",
-                },
-                "pair": {
-                    "type": "array",
-                    "items": {"type": "string", "minLength": 1},
-                    "minItems": 2,
-                    "maxItems": 2,
-                    "uniqueItems": True,
-                    "description": "Two geoms or bodies. 'object' and 'floor' are those that the "
-                    "target adds to the scene. For grip: the two fingers.",
-                },
-                "object": {
-                    "type": "object",
-                    "description": "Free body that is added to the scene. It starts above the "
-                    "second of the pair, or at a frame.",
-                    "properties": {
-                        "shape": {"enum": sorted(SIZES), "description": "Shape of the object."},
-                        "size": {
-                            "type": "array",
-                            "items": QUANTITY_SCHEMA,
-                            "minItems": 1,
-                            "maxItems": 3,
-                            "description": "Half sizes in m. Box: along x, y and z. Sphere: "
-                            "radius. Cylinder and capsule: radius, and half length along z.",
-                        },
-                        "mass": {**QUANTITY_SCHEMA, "description": "Mass, such as '0.1 kg'."},
-                        "friction": {
-                            "type": "number",
-                            "minimum": 0,
-                            "description": "Coefficient of sliding friction. Default: all "
-                            "contact parameters are those of the body that the object touches.",
-                        },
-                        "frame": {
-                            "type": "string",
-                            "minLength": 1,
-                            "description": "Site or body at which the object starts.",
-                        },
-                        "offset": {
-                            **_VECTOR,
-                            "description": "Displacement of the start, m, along the axes of "
+        "target": table(
+            {
+                "primitive": choice(
+                    ["approach", "slide", "release", "grip", "toss"],
+                    "How the pair is brought into contact.",
+                ),
+                "pair": array(
+                    text(minLength=1),
+                    "Two geoms or bodies. 'object' and 'floor' are those that the target adds to "
+                    "the scene. For grip: the two fingers.",
+                    count=2,
+                    uniqueItems=True,
+                ),
+                "object": table(
+                    {
+                        "shape": choice(sorted(SIZES), "Shape of the object."),
+                        "size": array(
+                            quantity_field(),
+                            "Half sizes in m. Box: along x, y and z. Sphere: radius. Cylinder and "
+                            "capsule: radius, and half length along z.",
+                            minItems=1,
+                            maxItems=3,
+                        ),
+                        "mass": quantity_field("Mass, such as '0.1 kg'."),
+                        "friction": number(
+                            "Coefficient of sliding friction. Default: all contact parameters are "
+                            "those of the body that the object touches.",
+                            minimum=0,
+                        ),
+                        "frame": text("Site or body at which the object starts.", minLength=1),
+                        "offset": array(
+                            number(),
+                            "Displacement of the start, m, along the axes of "
                             "frame, or of the world without frame. Default: zero.",
-                        },
+                            count=3,
+                        ),
                     },
-                    "required": ["shape", "size", "mass"],
-                    "additionalProperties": False,
-                },
+                    "Free body that is added to the scene. It starts above the second of the "
+                    "pair, or at a frame.",
+                    required=["shape", "size", "mass"],
+                ),
                 **contact_toss.FIELDS,
-                "floor": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Height of a horizontal plane that is added to the scene, m in "
-                    "the world frame.",
-                },
+                "floor": quantity_field(
+                    "Height of a horizontal plane that is added to the scene, m in the world frame."
+                ),
             },
-            "required": ["primitive", "pair"],
-            "additionalProperties": False,
-        },
-        "stimulus": {
-            "type": "object",
-            "properties": {
-                "duration": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Simulated time, up to 60 s. For slide: the time before the "
-                    "tangential force. For grip: the time before the object has weight.",
-                },
+            required=["primitive", "pair"],
+        ),
+        "stimulus": table(
+            {
+                "duration": quantity_field(
+                    "Simulated time, up to 60 s. For slide: the time before the tangential force. "
+                    "For grip: the time before the object has weight."
+                ),
                 "pose": POSE_SCHEMA,
                 "gravity": GRAVITY_SCHEMA,
-                "others": {
-                    "enum": ["free", "locked"],
-                    "description": "free (default): all joints can move. locked: joints without a "
-                    "command or effort are fixed.",
-                },
-                "gap": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Distance at the start between a free body and the body below "
-                    "it. Default: '10 mm'.",
-                },
-                "command": {
-                    "type": "object",
-                    "additionalProperties": {"type": "number"},
-                    "description": "Actuator -> value to which its control changes from the "
-                    "holding command.",
-                },
-                "effort": {
-                    "type": "object",
-                    "additionalProperties": QUANTITY_SCHEMA,
-                    "description": "Joint -> effort in N*m or N, added to that of actuators.",
-                },
-                "press": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Force on the first of the pair towards the second, such as "
-                    "'5 N'. Default: none.",
-                },
-                "ramp": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Time in which command, effort and press grow to their values. "
-                    "Default: '0.2 s'.",
-                },
-                "slide": {
-                    "type": "object",
-                    "description": "For slide: tangential force on the first of the pair.",
-                    "properties": {
-                        "direction": {
-                            **_VECTOR,
-                            "description": "Direction in the world frame. Only its part along the "
+                "others": choice(
+                    ["free", "locked"],
+                    "free (default): all joints can move. locked: joints without a command or "
+                    "effort are fixed.",
+                ),
+                "gap": quantity_field(
+                    "Distance at the start between a free body and the body below it. Default: "
+                    "'10 mm'."
+                ),
+                "command": mapping(
+                    number(),
+                    "Actuator -> value to which its control changes from the holding command.",
+                ),
+                "effort": mapping(
+                    quantity_field(), "Joint -> effort in N*m or N, added to that of actuators."
+                ),
+                "press": quantity_field(
+                    "Force on the first of the pair towards the second, such as '5 N'. Default: "
+                    "none."
+                ),
+                "ramp": quantity_field(
+                    "Time in which command, effort and press grow to their values. Default: '0.2 "
+                    "s'."
+                ),
+                "slide": table(
+                    {
+                        "direction": array(
+                            number(),
+                            "Direction in the world frame. Only its part along the "
                             "surface is used.",
-                        },
-                        "force": {
-                            **QUANTITY_SCHEMA,
-                            "description": "Final value, such as '10 N'.",
-                        },
-                        "duration": {
-                            **QUANTITY_SCHEMA,
-                            "description": "Time in which the force grows from zero, up to 60 s.",
-                        },
-                        "travel": {
-                            **QUANTITY_SCHEMA,
-                            "description": "Displacement above which the pair has slipped. "
-                            "Default: '1 mm'.",
-                        },
+                            count=3,
+                        ),
+                        "force": quantity_field("Final value, such as '10 N'."),
+                        "duration": quantity_field(
+                            "Time in which the force grows from zero, up to 60 s."
+                        ),
+                        "travel": quantity_field(
+                            "Displacement above which the pair has slipped. Default: '1 mm'."
+                        ),
                     },
-                    "required": ["direction", "force", "duration"],
-                    "additionalProperties": False,
-                },
-                "hold": {
-                    **QUANTITY_SCHEMA,
-                    "description": "For grip: time for which the object is held with its weight, "
-                    "up to 60 s.",
-                },
-            },
-            "additionalProperties": False,
-        },
+                    "For slide: tangential force on the first of the pair.",
+                    required=["direction", "force", "duration"],
+                ),
+                "hold": quantity_field(
+                    "For grip: time for which the object is held with its weight, up to 60 s."
+                ),
+            }
+        ),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.checks.base import Measure, Observation, Progress
-from pytest_twin.checks.fields import QUANTITY_SCHEMA, TEXT, quantity, spec_error
+from pytest_twin.checks.fields import quantity, spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.checks.records import twin_of
+from pytest_twin.checks.schemas import array, name_field, number, quantity_field
 from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
@@ -23,33 +24,26 @@ UNITS: Mapping[str, str] = {
     "toss_rotation_mean": "rad",
 }
 FIELDS: Mapping[str, Any] = {
-    "recording": {
-        **TEXT,
-        "description": "For toss: an .npz file of tosses, or a bag with poses of the first of the "
-        "pair. The path is relative to the twin's folder or to one of its roots.",
-    },
-    "tosses": {
-        "type": "array",
-        "minItems": 1,
-        "uniqueItems": True,
-        "items": TEXT,
-        "description": "For toss: names of arrays in the .npz file. Default: all.",
-    },
-    "topic": {
-        **TEXT,
-        "description": "For toss: topic of the poses. Needed if a bag has several.",
-    },
-    "length_unit": {
-        **QUANTITY_SCHEMA,
-        "description": "For toss: length of one unit of the .npz file, m. Default: found from the "
-        "acceleration in free fall.",
-    },
-    "rate": {
-        "type": "number",
-        "exclusiveMinimum": 0,
-        "description": "For toss: sampling rate of the .npz file, Hz. Default: found from "
-        "positions and velocities.",
-    },
+    "recording": name_field(
+        "For toss: an .npz file of tosses, or a bag with poses of the first of the "
+        "pair. The path is relative to the twin's folder or to one of its roots."
+    ),
+    "tosses": array(
+        name_field(),
+        "For toss: names of arrays in the .npz file. Default: all.",
+        minItems=1,
+        uniqueItems=True,
+    ),
+    "topic": name_field("For toss: topic of the poses. Needed if a bag has several."),
+    "length_unit": quantity_field(
+        "For toss: length of one unit of the .npz file, m. Default: found from the acceleration "
+        "in free fall."
+    ),
+    "rate": number(
+        "For toss: sampling rate of the .npz file, Hz. Default: found from positions and "
+        "velocities.",
+        exclusiveMinimum=0,
+    ),
 }
 
 

@@ -14,13 +14,13 @@ from pytest_twin.checks.fields import (
     EFFORT_UNIT,
     GRAVITY_SCHEMA,
     POSITION_UNIT,
-    QUANTITY_SCHEMA,
     VELOCITY_UNIT,
     known_name,
     quantity,
     spec_error,
 )
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, resolve_pose
+from pytest_twin.checks.schemas import choice, quantity_field, table, text
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
 
@@ -39,45 +39,38 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 CONTROL = "control"
 """Mode of a command that is an actuator's control, in the actuator's unit."""
 
-TARGET_SCHEMA: Mapping[str, Any] = {
-    "type": "object",
-    "properties": {
-        "joint": {"type": "string", "minLength": 1, "description": "Hinge or slide joint to test."},
-        "actuator": {
-            "type": "string",
-            "minLength": 1,
-            "description": "Actuator that drives the joint through a tendon. The amplitude is "
-            "then in the unit of its control.",
-        },
-        "command": {
-            "enum": ["position", "velocity", "effort"],
-            "description": "Commanded quantity. Default: the mode of the joint's actuator. On a "
-            "joint without an actuator, an effort is applied to the joint itself.",
-        },
-        "response": {
-            "enum": ["position", "velocity"],
-            "description": "Measured quantity. Default: position for a position command, else "
-            "velocity.",
-        },
+TARGET_SCHEMA: Mapping[str, Any] = table(
+    {
+        "joint": text("Hinge or slide joint to test.", minLength=1),
+        "actuator": text(
+            "Actuator that drives the joint through a tendon. The amplitude is then in the unit "
+            "of its control.",
+            minLength=1,
+        ),
+        "command": choice(
+            ["position", "velocity", "effort"],
+            "Commanded quantity. Default: the mode of the joint's actuator. On a joint without an "
+            "actuator, an effort is applied to the joint itself.",
+        ),
+        "response": choice(
+            ["position", "velocity"],
+            "Measured quantity. Default: position for a position command, else velocity.",
+        ),
     },
-    "required": ["joint"],
-    "additionalProperties": False,
-}
+    required=["joint"],
+)
 BENCH_SCHEMA: Mapping[str, Any] = {
     "pose": POSE_SCHEMA,
     "gravity": GRAVITY_SCHEMA,
     "contact": CONTACT_SCHEMA,
-    "others": {
-        "enum": ["free", "locked"],
-        "description": "free (default): position servos hold the pose, other joints can move. "
-        "locked: all joints are fixed except the tested joint and those coupled to it; a free base "
-        "is fixed too.",
-    },
-    "settle": {
-        **QUANTITY_SCHEMA,
-        "description": "Time under the holding command before the stimulus, up to 60 s. Default: "
-        "'0.5 s'.",
-    },
+    "others": choice(
+        ["free", "locked"],
+        "free (default): position servos hold the pose, other joints can move. locked: all joints "
+        "are fixed except the tested joint and those coupled to it; a free base is fixed too.",
+    ),
+    "settle": quantity_field(
+        "Time under the holding command before the stimulus, up to 60 s. Default: '0.5 s'."
+    ),
 }
 """Schema properties of a stimulus that both kinds share."""
 

@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_twin.checks.fields import spec_error
 from pytest_twin.checks.files import find_file
+from pytest_twin.checks.schemas import integer
 from pytest_twin.golden import Golden
 from pytest_twin.twin import Twin
 
 if TYPE_CHECKING:
     from pytest_twin.formats.recording import Recording
 
-EPISODE_SCHEMA: Mapping[str, Any] = {
-    "type": "integer",
-    "minimum": 0,
-    "description": "Number of the episode in a data set with several, from 0.",
-}
+EPISODE_SCHEMA: Mapping[str, Any] = integer(
+    "Number of the episode in a data set with several, from 0.", minimum=0
+)
 _FIELD = "target.episode"
 
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pytest_twin.checks.schemas import Schema, boolean, name_field
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
 from pytest_twin.units import parse_quantity
@@ -16,12 +17,6 @@ VELOCITY_UNIT: Mapping[str, str] = {"hinge": "rad/s", "slide": "m/s"}
 EFFORT_UNIT: Mapping[str, str] = {"hinge": "N*m", "slide": "N"}
 """Type of a joint -> SI unit of its position, velocity and effort."""
 
-TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1, "maxLength": 1000}
-"""Schema of a name or a path in a spec."""
-QUANTITY_SCHEMA: Mapping[str, Any] = {
-    "description": "A number in SI units, or a string with a unit such as '90 deg' or '5 mm'.",
-    "anyOf": [{"type": "number"}, {"type": "string"}],
-}
 _EXAMPLES: Mapping[str, str] = {
     **{"m": "0.5 mm", "rad": "5 mrad", "s": "2 ms", "kg": "5 g", "1": "2 %"},
     **{"N": "0.1 N", "N*m": "5 mN*m", "J": "1 mJ", "Hz": "0.2 Hz", "dB": "0.5 dB"},
@@ -30,25 +25,16 @@ _EXAMPLES: Mapping[str, str] = {
 """SI unit -> example of a tolerance."""
 
 
-GRAVITY_SCHEMA: Mapping[str, Any] = {
-    "type": "boolean",
-    "description": "Whether gravity acts. Default: true.",
-}
-CONTACT_SCHEMA: Mapping[str, Any] = {
-    "type": "boolean",
-    "description": "Whether bodies can touch. Default: true. With false they pass through each "
-    "other.",
-}
+GRAVITY_SCHEMA = boolean("Whether gravity acts. Default: true.")
+CONTACT_SCHEMA = boolean(
+    "Whether bodies can touch. Default: true. With false they pass through each other."
+)
 
 
-def tolerance_schema(unit: str) -> dict[str, Any]:
+def tolerance_schema(unit: str) -> Schema:
     """Return the schema of a tolerance in ``unit``; a check of another package may use any unit."""
     example = _EXAMPLES.get(unit, f"1 {unit}")
-    return {
-        **TEXT,
-        "description": f"a number with its unit, such as {example!r}",
-        "examples": [example],
-    }
+    return name_field(f"a number with its unit, such as {example!r}", examples=[example])
 
 
 def spec_error(golden: Golden, field: str, problem: str, **details: Any) -> SpecError:

@@ -24,6 +24,7 @@ from pytest_twin.checks.poses import (
     recorded_poses,
     resolve_poses,
 )
+from pytest_twin.checks.schemas import array, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import (
@@ -56,26 +57,18 @@ class ForwardKinematics(Check):
     tolerances: ClassVar[Mapping[str, str]] = {"position": "m", "orientation": "rad"}
     required_tolerances: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "frames": {
-                    "type": "array",
-                    "minItems": 1,
-                    "items": {"type": "string", "minLength": 1},
-                    "uniqueItems": True,
-                    "description": "Bodies or sites whose pose in the world is compared.",
-                }
+        "target": table(
+            {
+                "frames": array(
+                    text(minLength=1),
+                    "Bodies or sites whose pose in the world is compared.",
+                    minItems=1,
+                    uniqueItems=True,
+                )
             },
-            "required": ["frames"],
-            "additionalProperties": False,
-        },
-        "stimulus": {
-            "type": "object",
-            "properties": {"poses": POSES_SCHEMA},
-            "required": ["poses"],
-            "additionalProperties": False,
-        },
+            required=["frames"],
+        ),
+        "stimulus": table({"poses": POSES_SCHEMA}, required=["poses"]),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

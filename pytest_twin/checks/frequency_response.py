@@ -26,9 +26,10 @@ from pytest_twin.checks.drive import (
     command_unit,
     prepare,
 )
-from pytest_twin.checks.fields import QUANTITY_SCHEMA, quantity, spec_error
+from pytest_twin.checks.fields import quantity, spec_error
 from pytest_twin.checks.poses import keyframe_parts
 from pytest_twin.checks.scalar_measures import scalar_measures
+from pytest_twin.checks.schemas import array, choice, integer, number, quantity_field, table
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.golden import Golden
@@ -91,77 +92,58 @@ class FrequencyResponse(Check):
     }
     schema: ClassVar[Mapping[str, Any]] = {
         "target": TARGET_SCHEMA,
-        "stimulus": {
-            "type": "object",
-            "properties": {
-                "signal": {
-                    "enum": ["multisine", "chirp"],
-                    "description": "multisine (default): selected frequencies with equal "
-                    "amplitudes, random phases and a low crest factor. chirp: a sweep over all "
-                    "frequencies of the band.",
-                },
-                "amplitude": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Peak of the command relative to the holding command, such as "
-                    "'2 deg' or '0.1 N*m'.",
-                },
-                "band": {
-                    "type": "array",
-                    "items": {**QUANTITY_SCHEMA, "description": "A frequency, such as '0.5 Hz'."},
-                    "minItems": 2,
-                    "maxItems": 2,
-                    "description": "Lowest and highest frequency of the excitation, in Hz or with "
-                    "a unit.",
-                },
-                "period": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Length of one period, such as '4 s'. Its inverse is the "
-                    "frequency resolution.",
-                },
-                "lines": {
-                    "type": "integer",
-                    "minimum": 2,
-                    "maximum": 400,
-                    "description": "Number of frequencies of a multisine, at equal ratios. "
-                    "Default: 30.",
-                },
-                "realizations": {
-                    "type": "integer",
-                    "minimum": 2,
-                    "maximum": 64,
-                    "description": "Number of commands with the same amplitude spectrum and "
-                    "different phases. Default: 6. A chirp has at most 8.",
-                },
-                "periods": {
-                    "type": "integer",
-                    "minimum": 1,
-                    "maximum": 64,
-                    "description": "Number of evaluated periods of each command. Default: 2.",
-                },
-                "transient_periods": {
-                    "type": "integer",
-                    "minimum": 1,
-                    "maximum": 64,
-                    "description": "Number of periods before the evaluated ones, in which the "
-                    "transient decays. Default: 1.",
-                },
-                "coherence": {
-                    "type": "number",
-                    "exclusiveMinimum": 0,
-                    "maximum": 1,
-                    "description": "Smallest coherence of a frequency that is reported. Default: "
-                    "0.95.",
-                },
-                "seed": {
-                    "type": "integer",
-                    "minimum": 0,
-                    "description": "Seed of the random phases. Default: 1.",
-                },
+        "stimulus": table(
+            {
+                "signal": choice(
+                    ["multisine", "chirp"],
+                    "multisine (default): selected frequencies with equal amplitudes, random "
+                    "phases and a low crest factor. chirp: a sweep over all frequencies of the "
+                    "band.",
+                ),
+                "amplitude": quantity_field(
+                    "Peak of the command relative to the holding command, such as '2 deg' or '0.1 "
+                    "N*m'."
+                ),
+                "band": array(
+                    quantity_field("A frequency, such as '0.5 Hz'."),
+                    "Lowest and highest frequency of the excitation, in Hz or with a unit.",
+                    count=2,
+                ),
+                "period": quantity_field(
+                    "Length of one period, such as '4 s'. Its inverse is the frequency resolution."
+                ),
+                "lines": integer(
+                    "Number of frequencies of a multisine, at equal ratios. Default: 30.",
+                    minimum=2,
+                    maximum=400,
+                ),
+                "realizations": integer(
+                    "Number of commands with the same amplitude spectrum and different phases. "
+                    "Default: 6. A chirp has at most 8.",
+                    minimum=2,
+                    maximum=64,
+                ),
+                "periods": integer(
+                    "Number of evaluated periods of each command. Default: 2.",
+                    minimum=1,
+                    maximum=64,
+                ),
+                "transient_periods": integer(
+                    "Number of periods before the evaluated ones, in which the transient decays. "
+                    "Default: 1.",
+                    minimum=1,
+                    maximum=64,
+                ),
+                "coherence": number(
+                    "Smallest coherence of a frequency that is reported. Default: 0.95.",
+                    exclusiveMinimum=0,
+                    maximum=1,
+                ),
+                "seed": integer("Seed of the random phases. Default: 1.", minimum=0),
                 **BENCH_SCHEMA,
             },
-            "required": ["amplitude", "band", "period"],
-            "additionalProperties": False,
-        },
+            required=["amplitude", "band", "period"],
+        ),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

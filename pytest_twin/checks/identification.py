@@ -14,9 +14,10 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
-from pytest_twin.checks.fields import TEXT, known_name, spec_error
+from pytest_twin.checks.fields import known_name, spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.checks.records import check_unchanged, twin_of
+from pytest_twin.checks.schemas import NO_FIELDS, array, name_field, table
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 
@@ -37,23 +38,20 @@ class IdentificationCheck(Check):
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy", "pin")
     tolerances: ClassVar[Mapping[str, str]] = {"effort": "1", "torque": "N*m", "force": "N"}
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "record": {**TEXT, "description": "Id under fit: in twin.yaml."},
-                "recordings": {
-                    "type": "array",
-                    "minItems": 1,
-                    "uniqueItems": True,
-                    "items": TEXT,
-                    "description": "Held-out recordings of the record. The paths are relative to "
-                    "the twin's folder or to one of its roots.",
-                },
+        "target": table(
+            {
+                "record": name_field("Id under fit: in twin.yaml."),
+                "recordings": array(
+                    name_field(),
+                    "Held-out recordings of the record. The paths are relative to the twin's "
+                    "folder or to one of its roots.",
+                    minItems=1,
+                    uniqueItems=True,
+                ),
             },
-            "required": ["record", "recordings"],
-            "additionalProperties": False,
-        },
-        "stimulus": {"type": "object", "additionalProperties": False},
+            required=["record", "recordings"],
+        ),
+        "stimulus": NO_FIELDS,
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

@@ -19,6 +19,7 @@ from pytest_twin.checks.base import (
 from pytest_twin.checks.fields import POSITION_UNIT, known_name, quantity, spec_error, tolerance
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, Pose, keyframe_parts, resolve_pose
 from pytest_twin.checks.proposals import require_mass
+from pytest_twin.checks.schemas import array, choice, mapping, number, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SimulationError
 from pytest_twin.golden import Golden
@@ -39,13 +40,6 @@ _LARGEST = 0.1  # rad or m: largest motion by a pulse
 _SHRINKS = 9
 """Number of amplitudes of a pulse that are tried, each a tenth of the one before."""
 
-_VECTOR: dict[str, Any] = {
-    "type": "array",
-    "items": {"type": "number"},
-    "minItems": 3,
-    "maxItems": 3,
-}
-
 
 class JointDirection(Check):
     """Direction in which a named frame moves when one joint's value increases.
@@ -62,67 +56,47 @@ class JointDirection(Check):
     tolerances: ClassVar[Mapping[str, str]] = {"direction": "rad"}
     required_tolerances: ClassVar[frozenset[str]] = frozenset({"direction"})
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "joints": {
-                    "type": "object",
-                    "minProperties": 1,
-                    "description": "Joint -> how a frame moves when the position of the joint "
-                    "increases.",
-                    "additionalProperties": {
-                        "type": "object",
-                        "properties": {
-                            "frame": {
-                                "type": "string",
-                                "minLength": 1,
-                                "description": "Body or site whose motion is measured.",
-                            },
-                            "rotation": _VECTOR
-                            | {"description": "Axis of the frame's right-handed rotation."},
-                            "translation": _VECTOR
-                            | {"description": "Direction of motion of the frame's origin."},
-                            "in": {
-                                "type": "string",
-                                "minLength": 1,
-                                "description": (
-                                    "Frame, at the pose of the stimulus, in which the vector "
-                                    "is expressed. Default: 'world'."
-                                ),
-                            },
-                            "actuator": {
-                                "type": "string",
-                                "minLength": 1,
-                                "description": "Actuator whose command is increased in simulation.",
-                            },
-                            "command": {
-                                "enum": ["positive", "negative"],
-                                "description": (
-                                    "Direction in which an increasing command moves the joint. "
-                                    "Default: positive."
-                                ),
-                            },
+        "target": table(
+            {
+                "joints": mapping(
+                    table(
+                        {
+                            "frame": text("Body or site whose motion is measured.", minLength=1),
+                            "rotation": array(
+                                number(), "Axis of the frame's right-handed rotation.", count=3
+                            ),
+                            "translation": array(
+                                number(), "Direction of motion of the frame's origin.", count=3
+                            ),
+                            "in": text(
+                                "Frame, at the pose of the stimulus, in which the vector is "
+                                "expressed. Default: 'world'.",
+                                minLength=1,
+                            ),
+                            "actuator": text(
+                                "Actuator whose command is increased in simulation.", minLength=1
+                            ),
+                            "command": choice(
+                                ["positive", "negative"],
+                                "Direction in which an increasing command moves the joint. "
+                                "Default: positive.",
+                            ),
                         },
-                        "required": ["frame"],
-                        "oneOf": [{"required": ["rotation"]}, {"required": ["translation"]}],
-                        "additionalProperties": False,
-                    },
-                }
+                        required=["frame"],
+                        oneOf=[{"required": ["rotation"]}, {"required": ["translation"]}],
+                    ),
+                    "Joint -> how a frame moves when the position of the joint increases.",
+                    minProperties=1,
+                )
             },
-            "required": ["joints"],
-            "additionalProperties": False,
-        },
-        "stimulus": {
-            "type": "object",
-            "properties": {
+            required=["joints"],
+        ),
+        "stimulus": table(
+            {
                 "pose": POSE_SCHEMA,
-                "duration": {
-                    "type": "string",
-                    "description": "Time for which the command is applied. Default: '100 ms'.",
-                },
-            },
-            "additionalProperties": False,
-        },
+                "duration": text("Time for which the command is applied. Default: '100 ms'."),
+            }
+        ),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
@@ -154,7 +128,7 @@ class JointDirection(Check):
         directions: dict[str, list[float]] = {}
         commands: dict[str, float] = {}
         joints = golden.target["joints"]
-        for number, (joint, entry) in enumerate(joints.items()):
+        for joint_index, (joint, entry) in enumerate(joints.items()):
             place = f"target.joints.{joint}"
             known_name(golden, place, joint, kinds, "hinge or slide joint")
             known_name(golden, f"{place}.frame", entry["frame"], structure.frame_body, "frame")
@@ -178,7 +152,7 @@ class JointDirection(Check):
                         expected=_drivers(structure, joint),
                     )
                 commands[joint] = pulse(realization, joint, actuator, pose.qpos, duration)
-            progress((number + 1) / len(joints))
+            progress((joint_index + 1) / len(joints))
         return Observation({"direction": directions, "command": commands})
 
     def compare(

@@ -19,7 +19,6 @@ from pytest_twin.checks.base import (
 from pytest_twin.checks.fields import (
     EFFORT_UNIT,
     POSITION_UNIT,
-    QUANTITY_SCHEMA,
     VELOCITY_UNIT,
     known_name,
     quantity,
@@ -32,6 +31,7 @@ from pytest_twin.checks.limits_bench import (
     largest_effort,
     servo_range,
 )
+from pytest_twin.checks.schemas import any_of, array, mapping, number, quantity_field, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SimulationError
 from pytest_twin.golden import Golden
@@ -51,12 +51,7 @@ _PUSHES = {
     0.01: ("limits_hundredth", "the stops hold a hundredth of the effort"),
     0.0: ("limits_no_push", "the stops give way to a hundredth of the effort, so none is applied"),
 }
-_RANGE_SCHEMA: Mapping[str, Any] = {
-    "type": "array",
-    "items": QUANTITY_SCHEMA,
-    "minItems": 2,
-    "maxItems": 2,
-}
+_RANGE_SCHEMA: Mapping[str, Any] = array(quantity_field(), count=2)
 _TOLERANCE = {
     "range": {"hinge": "angle", "slide": "length"},
     "stop": {"hinge": "stop_angle", "slide": "stop_length"},
@@ -91,63 +86,45 @@ class Limits(Check):
         "force": "N",
     }
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "joints": {
-                    "type": "object",
-                    "minProperties": 1,
-                    "description": "Joint -> its declared limits.",
-                    "additionalProperties": {
-                        "type": "object",
-                        "minProperties": 1,
-                        "properties": {
-                            "hard": {
-                                "description": "Lower and upper stop, rad or m; 'none' without "
-                                "stops.",
-                                "anyOf": [{"const": "none"}, _RANGE_SCHEMA],
-                            },
+        "target": table(
+            {
+                "joints": mapping(
+                    table(
+                        {
+                            "hard": any_of(
+                                {"const": "none"},
+                                _RANGE_SCHEMA,
+                                description="Lower and upper stop, rad or m; 'none' without stops.",
+                            ),
                             "soft": {
                                 **_RANGE_SCHEMA,
                                 "description": "Lower and upper limit of commanded positions, rad "
                                 "or m.",
                             },
-                            "velocity": {
-                                **QUANTITY_SCHEMA,
-                                "description": "Largest speed, such as '180 deg/s'.",
-                            },
-                            "effort": {
-                                **QUANTITY_SCHEMA,
-                                "description": "Largest torque or force, such as '10 N*m'.",
-                            },
+                            "velocity": quantity_field("Largest speed, such as '180 deg/s'."),
+                            "effort": quantity_field("Largest torque or force, such as '10 N*m'."),
                         },
-                        "additionalProperties": False,
-                    },
-                }
-            },
-            "required": ["joints"],
-            "additionalProperties": False,
-        },
-        "stimulus": {
-            "type": "object",
-            "properties": {
-                "duration": {
-                    "type": "string",
-                    "description": "Time for which each command or push is applied. Default: "
-                    "'500 ms'.",
-                },
-                "push": {
-                    "type": "number",
-                    "minimum": 0,
-                    "maximum": 1,
-                    "description": (
-                        "Fraction of the joint's effort with which it is pushed against its "
-                        "stops. Default: 1. 0: no push."
+                        minProperties=1,
                     ),
-                },
+                    "Joint -> its declared limits.",
+                    minProperties=1,
+                )
             },
-            "additionalProperties": False,
-        },
+            required=["joints"],
+        ),
+        "stimulus": table(
+            {
+                "duration": text(
+                    "Time for which each command or push is applied. Default: '500 ms'."
+                ),
+                "push": number(
+                    "Fraction of the joint's effort with which it is pushed against its stops. "
+                    "Default: 1. 0: no push.",
+                    minimum=0,
+                    maximum=1,
+                ),
+            }
+        ),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:
@@ -167,14 +144,14 @@ class Limits(Check):
         )
         joints = golden.target["joints"]
         found: dict[str, dict[str, Any]] = {}
-        for number, joint in enumerate(joints):
+        for joint_index, joint in enumerate(joints):
             place = f"target.joints.{joint}"
             known_name(golden, place, joint, kinds, "hinge or slide joint")
             declared = _declaration(golden, joint, kinds[joint])
             found[joint] = {"type": kinds[joint]} | _observed_limits(
                 realization, joint, declared, duration, float(golden.stimulus.get("push", 1.0))
             )
-            progress((number + 1) / len(joints))
+            progress((joint_index + 1) / len(joints))
         return Observation({"joints": found})
 
     def compare(

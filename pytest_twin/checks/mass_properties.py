@@ -24,6 +24,7 @@ from pytest_twin.checks.poses import (
     resolve_poses,
 )
 from pytest_twin.checks.proposals import require_mass
+from pytest_twin.checks.schemas import array, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import position_error
@@ -56,31 +57,21 @@ class MassProperties(Check):
     }
     required_tolerances: ClassVar[frozenset[str]] = frozenset({"mass", "center_of_mass"})
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "joints": {
-                    "type": "array",
-                    "items": {"type": "string", "minLength": 1},
-                    "uniqueItems": True,
-                    "description": "Joints whose gravity torque is compared. Default: all.",
-                },
-                "bodies": {
-                    "type": "array",
-                    "items": {"type": "string", "minLength": 1},
-                    "uniqueItems": True,
-                    "description": "Bodies whose mass and centre of mass are compared. Default: "
-                    "none.",
-                },
-            },
-            "additionalProperties": False,
-        },
-        "stimulus": {
-            "type": "object",
-            "properties": {"poses": POSES_SCHEMA},
-            "required": ["poses"],
-            "additionalProperties": False,
-        },
+        "target": table(
+            {
+                "joints": array(
+                    text(minLength=1),
+                    "Joints whose gravity torque is compared. Default: all.",
+                    uniqueItems=True,
+                ),
+                "bodies": array(
+                    text(minLength=1),
+                    "Bodies whose mass and centre of mass are compared. Default: none.",
+                    uniqueItems=True,
+                ),
+            }
+        ),
+        "stimulus": table({"poses": POSES_SCHEMA}, required=["poses"]),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

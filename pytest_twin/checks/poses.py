@@ -14,11 +14,11 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.checks.fields import (
     POSITION_UNIT,
-    QUANTITY_SCHEMA,
     known_name,
     quantity,
     spec_error,
 )
+from pytest_twin.checks.schemas import any_of, array, integer, mapping, quantity_field, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 
@@ -34,62 +34,40 @@ _ENDLESS = 1e3  # rad or m: a larger limit does not limit the joint
 _GRID = 65  # number of values of a leading joint that are tested
 _CLOSED = 1e-10  # largest residual of a closed loop, m or rad
 
-POSE_SCHEMA: Mapping[str, Any] = {
-    "description": (
-        "'reference' (the model's reference configuration), the name of a keyframe of the model, "
-        "or joint positions. Joints that are left out stay at the reference. Coupled (mimic) "
-        "joints follow the joint that leads them."
-    ),
-    "anyOf": [
-        {"type": "string", "minLength": 1},
+POSE_SCHEMA: Mapping[str, Any] = any_of(
+    text(minLength=1),
+    table(
         {
-            "type": "object",
-            "properties": {
-                "name": {"type": "string", "minLength": 1, "description": "Name in reports."},
-                "joints": {
-                    "type": "object",
-                    "description": "Joint -> position in rad or m, or with a unit, such as '90 "
-                    "deg'.",
-                    "additionalProperties": QUANTITY_SCHEMA,
-                },
-            },
-            "required": ["joints"],
-            "additionalProperties": False,
+            "name": text("Name in reports.", minLength=1),
+            "joints": mapping(
+                quantity_field(), "Joint -> position in rad or m, or with a unit, such as '90 deg'."
+            ),
         },
-    ],
-}
+        required=["joints"],
+    ),
+    description="'reference' (the model's reference configuration), the name of a keyframe of the "
+    "model, or joint positions. Joints that are left out stay at the reference. Coupled (mimic) "
+    "joints follow the joint that leads them.",
+)
 """JSON Schema of one pose."""
 
-POSES_SCHEMA: Mapping[str, Any] = {
-    "type": "array",
-    "minItems": 1,
-    "maxItems": 1000,
-    "description": "Poses to evaluate: named, given by joint positions, or drawn from a seed.",
-    "items": {
-        "anyOf": [
-            *POSE_SCHEMA["anyOf"],
+POSES_SCHEMA: Mapping[str, Any] = array(
+    any_of(
+        *POSE_SCHEMA["anyOf"],
+        table(
             {
-                "type": "object",
-                "description": (
-                    "Random poses within the joint limits. A joint without limits is drawn within "
-                    "half a turn or 1 m to each side. The poses are drawn once and then recorded "
-                    "in the spec."
-                ),
-                "properties": {
-                    "seed": {"type": "integer", "minimum": 0, "description": "Seed of the draw."},
-                    "count": {
-                        "type": "integer",
-                        "minimum": 1,
-                        "maximum": 1000,
-                        "description": "Number of poses to draw.",
-                    },
-                },
-                "required": ["seed", "count"],
-                "additionalProperties": False,
+                "seed": integer("Seed of the draw.", minimum=0),
+                "count": integer("Number of poses to draw.", minimum=1, maximum=1000),
             },
-        ]
-    },
-}
+            "Random poses within the joint limits. A joint without limits is drawn within half a "
+            "turn or 1 m to each side. The poses are drawn once and then recorded in the spec.",
+            required=["seed", "count"],
+        ),
+    ),
+    "Poses to evaluate: named, given by joint positions, or drawn from a seed.",
+    minItems=1,
+    maxItems=1000,
+)
 """JSON Schema of a list of poses."""
 
 

@@ -33,6 +33,7 @@ from pytest_twin.checks.replay_signals import (
     effort_rms,
     frequency,
 )
+from pytest_twin.checks.schemas import NO_FIELDS, any_of, array, mapping, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
@@ -108,62 +109,55 @@ class Replay(Check):
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "mcap")
     tolerances: ClassVar[Mapping[str, str]] = _TOLERANCES
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "recording": {
-                    **_NAME,
-                    "description": "Recording to replay. The path is relative to the twin's "
+        "target": table(
+            {
+                "recording": text(
+                    "Recording to replay. The path is relative to the twin's "
                     "folder or to one of its roots.",
-                },
+                    minLength=1,
+                ),
                 "episode": EPISODE_SCHEMA,
-                "joints": {
-                    "description": "Joints that are compared, as a list or as joint -> its own "
-                    "tolerances. Default: all recorded joints.",
-                    "anyOf": [
-                        {"type": "array", "minItems": 1, "uniqueItems": True, "items": _NAME},
+                "joints": any_of(
+                    array(_NAME, minItems=1, uniqueItems=True),
+                    mapping(
                         {
-                            "type": "object",
-                            "minProperties": 1,
-                            "additionalProperties": {
-                                "type": ["object", "null"],
-                                "properties": {
-                                    name: tolerance_schema(_TOLERANCES[name])
-                                    for name in _JOINT_TOLERANCES
-                                },
-                                "additionalProperties": False,
+                            "type": ["object", "null"],
+                            "properties": {
+                                name: tolerance_schema(_TOLERANCES[name])
+                                for name in _JOINT_TOLERANCES
                             },
+                            "additionalProperties": False,
                         },
-                    ],
-                },
-                "tcp": {
-                    **_NAME,
-                    "description": "Frame of the tool. Its pose at the predicted joint positions "
+                        minProperties=1,
+                    ),
+                    description="Joints that are compared, as a list or as joint -> its own "
+                    "tolerances. Default: all recorded joints.",
+                ),
+                "tcp": text(
+                    "Frame of the tool. Its pose at the predicted joint positions "
                     "is compared with its pose at the measured ones.",
-                },
-                "tcp_topic": {
-                    **_NAME,
-                    "description": "Topic with measured poses of the tool "
+                    minLength=1,
+                ),
+                "tcp_topic": text(
+                    "Topic with measured poses of the tool "
                     "(geometry_msgs/PoseStamped). The predicted poses are compared with these "
                     "instead.",
-                },
+                    minLength=1,
+                ),
                 "sensors": SENSORS_SCHEMA,
-                "controller": {
-                    **_NAME,
-                    "description": "Controller with which the recording was made, as its metadata "
-                    "names it.",
-                },
-                "payload": {
-                    **_NAME,
-                    "description": "Payload with which the recording was made, as its metadata "
-                    "names it.",
-                },
+                "controller": text(
+                    "Controller with which the recording was made, as its metadata names it.",
+                    minLength=1,
+                ),
+                "payload": text(
+                    "Payload with which the recording was made, as its metadata names it.",
+                    minLength=1,
+                ),
             },
-            "required": ["recording"],
-            "dependentRequired": {"tcp_topic": ["tcp"]},
-            "additionalProperties": False,
-        },
-        "stimulus": {"type": "object", "additionalProperties": False},
+            required=["recording"],
+            dependentRequired={"tcp_topic": ["tcp"]},
+        ),
+        "stimulus": NO_FIELDS,
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

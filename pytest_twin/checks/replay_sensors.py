@@ -10,6 +10,7 @@ import numpy as np
 
 from pytest_twin.checks.base import Measure
 from pytest_twin.checks.fields import known_name, quantity, spec_error, tolerance_schema
+from pytest_twin.checks.schemas import mapping, table
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.golden import Golden
 
@@ -25,17 +26,11 @@ _BY_UNIT: Mapping[str, str] = {
     "rad": "angle_rms",
 }
 """Unit of a channel -> its tolerance."""
-SENSORS_SCHEMA: Mapping[str, Any] = {
-    "type": "object",
-    "minProperties": 1,
-    "description": "Sensor of a record under fit: in twin.yaml -> tolerances of its channels.",
-    "additionalProperties": {
-        "type": "object",
-        "minProperties": 1,
-        "properties": {name: tolerance_schema(unit) for unit, name in _BY_UNIT.items()},
-        "additionalProperties": False,
-    },
-}
+SENSORS_SCHEMA: Mapping[str, Any] = mapping(
+    table({name: tolerance_schema(unit) for unit, name in _BY_UNIT.items()}, minProperties=1),
+    "Sensor of a record under fit: in twin.yaml -> tolerances of its channels.",
+    minProperties=1,
+)
 
 
 def as_read(results: Sequence[Replayed], realization: Realization) -> list[Replayed]:

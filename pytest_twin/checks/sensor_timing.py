@@ -15,9 +15,10 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
-from pytest_twin.checks.fields import TEXT, spec_error
+from pytest_twin.checks.fields import spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.checks.records import twin_of
+from pytest_twin.checks.schemas import NO_FIELDS, array, choice, name_field, table
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 
@@ -31,19 +32,14 @@ _MOST_RIVAL = 0.95
 """Largest ratio of second-best to best correlation; above it the lag is ambiguous."""
 _SAME_PEAK_S = 0.2
 """Smallest distance of a second peak of the correlation from the best one."""
-_STREAM: Mapping[str, Any] = {
-    "type": "object",
-    "properties": {
-        "topic": {**TEXT, "description": "Topic of the stream."},
-        "joint": {**TEXT, "description": "For joint states: the joint."},
-        "quantity": {
-            "enum": ["speed", "effort"],
-            "description": "For joint states: its quantity. Default: speed.",
-        },
+_STREAM: Mapping[str, Any] = table(
+    {
+        "topic": name_field("Topic of the stream."),
+        "joint": name_field("For joint states: the joint."),
+        "quantity": choice(["speed", "effort"], "For joint states: its quantity. Default: speed."),
     },
-    "required": ["topic"],
-    "additionalProperties": False,
-}
+    required=["topic"],
+)
 
 
 class SensorTiming(Check):
@@ -58,28 +54,23 @@ class SensorTiming(Check):
     tolerances: ClassVar[Mapping[str, str]] = {"lag": "s"}
     required_tolerances: ClassVar[frozenset[str]] = frozenset({"lag"})
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "recording": {
-                    **TEXT,
-                    "description": "MCAP file, rosbag2 folder or .db3 file. The path is relative "
-                    "to the twin's folder or to one of its roots.",
-                },
-                "streams": {
-                    "type": "array",
-                    "minItems": 2,
-                    "maxItems": 2,
-                    "items": _STREAM,
-                    "description": "Two streams that measure one motion. An Imu or PoseStamped "
-                    "gives an angular speed, a WrenchStamped a force, joint states the speed or "
-                    "effort of one joint.",
-                },
+        "target": table(
+            {
+                "recording": name_field(
+                    "MCAP file, rosbag2 folder or .db3 file. The path is relative "
+                    "to the twin's folder or to one of its roots."
+                ),
+                "streams": array(
+                    _STREAM,
+                    "Two streams that measure one motion. An Imu or PoseStamped gives an angular "
+                    "speed, a WrenchStamped a force, joint states the speed or effort of one "
+                    "joint.",
+                    count=2,
+                ),
             },
-            "required": ["recording", "streams"],
-            "additionalProperties": False,
-        },
-        "stimulus": {"type": "object", "additionalProperties": False},
+            required=["recording", "streams"],
+        ),
+        "stimulus": NO_FIELDS,
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

@@ -14,13 +14,13 @@ from pytest_twin.checks.fields import (
     CONTACT_SCHEMA,
     GRAVITY_SCHEMA,
     POSITION_UNIT,
-    QUANTITY_SCHEMA,
     known_name,
     quantity,
     spec_error,
 )
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, keyframe_parts, resolve_pose
 from pytest_twin.checks.scalar_measures import declared_measure, sample_grid, scalar_measures
+from pytest_twin.checks.schemas import array, choice, mapping, quantity_field, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.energy import energy_growth
@@ -58,62 +58,44 @@ class Settling(Check):
         "penetration": "m",
     }
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "description": "Joints to compare.",
-            "properties": {
-                "joints": {
-                    "type": "array",
-                    "minItems": 1,
-                    "uniqueItems": True,
-                    "items": {"type": "string", "minLength": 1},
-                    "description": "Joints whose rest position is compared. Default: all.",
-                }
+        "target": table(
+            {
+                "joints": array(
+                    text(minLength=1),
+                    "Joints whose rest position is compared. Default: all.",
+                    minItems=1,
+                    uniqueItems=True,
+                )
             },
-            "additionalProperties": False,
-        },
-        "stimulus": {
-            "type": "object",
-            "properties": {
-                "duration": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Simulated time, such as '3 s'; up to 600 s.",
-                },
+            "Joints to compare.",
+        ),
+        "stimulus": table(
+            {
+                "duration": quantity_field("Simulated time, such as '3 s'; up to 600 s."),
                 "pose": POSE_SCHEMA,
-                "displacement": {
-                    "type": "object",
-                    "description": "Joint -> its displacement from the pose at the start, rad or "
-                    "m. Position servos still command the pose.",
-                    "additionalProperties": QUANTITY_SCHEMA,
-                },
+                "displacement": mapping(
+                    quantity_field(),
+                    "Joint -> its displacement from the pose at the start, rad or m. Position "
+                    "servos still command the pose.",
+                ),
                 "gravity": GRAVITY_SCHEMA,
                 "contact": CONTACT_SCHEMA,
-                "input": {
-                    "enum": ["hold", "zero"],
-                    "description": "hold (default): position servos command the pose, velocity "
-                    "servos zero velocity, motors zero effort. zero: all controls are 0, also "
-                    "those of position servos.",
-                },
-                "band": {
-                    "type": "object",
-                    "description": "Largest distance from its rest position at which a joint "
-                    "counts as settled.",
-                    "properties": {
-                        "angle": {
-                            **QUANTITY_SCHEMA,
-                            "description": "For angles. Default: '1 mrad'.",
-                        },
-                        "position": {
-                            **QUANTITY_SCHEMA,
-                            "description": "For positions. Default: '0.1 mm'.",
-                        },
+                "input": choice(
+                    ["hold", "zero"],
+                    "hold (default): position servos command the pose, velocity servos zero "
+                    "velocity, motors zero effort. zero: all controls are 0, also those of "
+                    "position servos.",
+                ),
+                "band": table(
+                    {
+                        "angle": quantity_field("For angles. Default: '1 mrad'."),
+                        "position": quantity_field("For positions. Default: '0.1 mm'."),
                     },
-                    "additionalProperties": False,
-                },
+                    "Largest distance from its rest position at which a joint counts as settled.",
+                ),
             },
-            "required": ["duration"],
-            "additionalProperties": False,
-        },
+            required=["duration"],
+        ),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

@@ -18,9 +18,10 @@ from pytest_twin.checks.base import (
     Trace,
 )
 from pytest_twin.checks.drive import BENCH_SCHEMA, TARGET_SCHEMA, command_unit, prepare
-from pytest_twin.checks.fields import POSITION_UNIT, QUANTITY_SCHEMA, quantity, spec_error
+from pytest_twin.checks.fields import POSITION_UNIT, quantity, spec_error
 from pytest_twin.checks.poses import keyframe_parts
 from pytest_twin.checks.scalar_measures import sample_grid, scalar_measures
+from pytest_twin.checks.schemas import quantity_field, table
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.time_response import step_metrics, worst_sample
@@ -66,24 +67,17 @@ class Step(Check):
     }
     schema: ClassVar[Mapping[str, Any]] = {
         "target": TARGET_SCHEMA,
-        "stimulus": {
-            "type": "object",
-            "properties": {
-                "amplitude": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Size of the step relative to the holding command, such as "
-                    "'5 deg' or '0.2 N*m'. A number without a unit is in rad, m, rad/s, m/s, N*m "
-                    "or N.",
-                },
-                "duration": {
-                    **QUANTITY_SCHEMA,
-                    "description": "Time after the step, such as '1 s'.",
-                },
+        "stimulus": table(
+            {
+                "amplitude": quantity_field(
+                    "Size of the step relative to the holding command, such as '5 deg' or '0.2 "
+                    "N*m'. A number without a unit is in rad, m, rad/s, m/s, N*m or N."
+                ),
+                "duration": quantity_field("Time after the step, such as '1 s'."),
                 **BENCH_SCHEMA,
             },
-            "required": ["amplitude", "duration"],
-            "additionalProperties": False,
-        },
+            required=["amplitude", "duration"],
+        ),
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

@@ -20,6 +20,7 @@ from pytest_twin.checks.base import (
 )
 from pytest_twin.checks.fields import spec_error
 from pytest_twin.checks.files import find_file
+from pytest_twin.checks.schemas import array, choice, mapping, table, text
 from pytest_twin.checks.task_modules import declared_modules, load_file
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
@@ -51,49 +52,37 @@ class Task(Check):
     libraries: ClassVar[tuple[str, ...]] = ("numpy", "scipy")
     tolerances: ClassVar[Mapping[str, str]] = {}
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "function": {
-                    "type": "string",
-                    "pattern": r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$",
-                    "description": "'tasks.py:pick_and_place', with a file relative to the twin's "
-                    "folder or to one of its roots, or 'package.module:function' of an installed "
-                    "package. The function has your rights, unless pytest runs with "
-                    "--twin-confine.",
-                },
-                "files": {
-                    "type": "array",
-                    "uniqueItems": True,
-                    "items": _NAME,
-                    "description": "Other files that the result depends on: every module of the "
-                    "twin that the function imports, and the tables that it reads. The paths are "
-                    "relative to the twin's folder or to one of its roots.",
-                },
-                "outputs": {
-                    "type": "object",
-                    "minProperties": 1,
-                    "description": "Output of the function -> its SI unit and its tolerance.",
-                    "additionalProperties": {
-                        "type": "object",
-                        "properties": {
-                            "unit": {
-                                "enum": list(SI_UNITS),
-                                "description": "SI unit; 1 without a unit.",
-                            },
-                            "tolerance": {
-                                **_NAME,
-                                "description": "Largest error of each number, such as '2 mm'.",
-                            },
+        "target": table(
+            {
+                "function": text(
+                    "'tasks.py:pick_and_place', with a file relative to the twin's folder or to "
+                    "one of its roots, or 'package.module:function' of an installed package. The "
+                    "function has your rights, unless pytest runs with --twin-confine.",
+                    pattern="^[^:]+:[A-Za-z_][A-Za-z0-9_]*$",
+                ),
+                "files": array(
+                    _NAME,
+                    "Other files that the result depends on: every module of the twin that the "
+                    "function imports, and the tables that it reads. The paths are relative to "
+                    "the twin's folder or to one of its roots.",
+                    uniqueItems=True,
+                ),
+                "outputs": mapping(
+                    table(
+                        {
+                            "unit": choice(list(SI_UNITS), "SI unit; 1 without a unit."),
+                            "tolerance": text(
+                                "Largest error of each number, such as '2 mm'.", minLength=1
+                            ),
                         },
-                        "required": ["unit", "tolerance"],
-                        "additionalProperties": False,
-                    },
-                },
+                        required=["unit", "tolerance"],
+                    ),
+                    "Output of the function -> its SI unit and its tolerance.",
+                    minProperties=1,
+                ),
             },
-            "required": ["function", "outputs"],
-            "additionalProperties": False,
-        },
+            required=["function", "outputs"],
+        ),
         "stimulus": {
             "type": "object",
             "description": "Keyword arguments of the function.",

@@ -15,9 +15,10 @@ from pytest_twin.checks.base import (
     Progress,
     Trace,
 )
-from pytest_twin.checks.fields import TEXT, known_name, spec_error
+from pytest_twin.checks.fields import known_name, spec_error
 from pytest_twin.checks.files import find_file
 from pytest_twin.checks.poses import configuration, encoder_parts, joints_above, joints_to_give
+from pytest_twin.checks.schemas import NO_FIELDS, name_field, table
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import orientation_error, position_error
@@ -42,23 +43,20 @@ class TcpAccuracy(Check):
         "orientation_rms": "rad",
     }
     schema: ClassVar[Mapping[str, Any]] = {
-        "target": {
-            "type": "object",
-            "properties": {
-                "frame": {**TEXT, "description": "Body or site whose pose was measured."},
-                "measurements": {
-                    **TEXT,
-                    "description": "CSV file with one row for each measurement. The path is "
+        "target": table(
+            {
+                "frame": name_field("Body or site whose pose was measured."),
+                "measurements": name_field(
+                    "CSV file with one row for each measurement. The path is "
                     "relative to the twin's folder or to one of its roots. Columns: joint.NAME of "
                     "every joint that moves the frame (encoder reading, rad or m), and flange.x y "
                     "z qw qx qy qz (pose of the frame in the world, m) or point.FRAME.x y z "
-                    "(position of its origin in the world, m).",
-                },
+                    "(position of its origin in the world, m)."
+                ),
             },
-            "required": ["frame", "measurements"],
-            "additionalProperties": False,
-        },
-        "stimulus": {"type": "object", "additionalProperties": False},
+            required=["frame", "measurements"],
+        ),
+        "stimulus": NO_FIELDS,
     }
 
     def depends(self, golden: Golden, structure: Structure) -> Iterable[str]:

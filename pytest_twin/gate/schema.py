@@ -10,80 +10,62 @@ from typing import Any
 
 from pytest_twin.checks import Check, check_of, kinds
 from pytest_twin.checks.fields import tolerance_schema
+from pytest_twin.checks.schemas import array, choice, mapping, name_field, table, text
 from pytest_twin.formats import atomic
 
 SCHEMA_VERSION = 1
 """Version of the layout of golden specs."""
 SHIPPED = "schemas/golden.schema.json"
 _SHA256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
-_TEXT = {"type": "string", "minLength": 1, "maxLength": 1000}
 
 _COMMON: Mapping[str, Any] = {
     "schema": {"const": SCHEMA_VERSION, "description": "Version of this schema."},
-    "kind": {**_TEXT, "description": "Kind of golden: the check that runs it."},
-    "title": {**_TEXT, "description": "One line for readers."},
-    "realizations": {
-        "description": "Names of realizations in twin.yaml. Default: the first one.",
-        "type": "array",
-        "items": _TEXT,
-        "minItems": 1,
-        "uniqueItems": True,
-    },
-    "criticality": {
-        "description": "critical (default): a failure blocks a release. advisory: a failure is "
-        "only reported.",
-        "enum": ["critical", "advisory"],
-    },
+    "kind": name_field("Kind of golden: the check that runs it."),
+    "title": name_field("One line for readers."),
+    "realizations": array(
+        name_field(),
+        "Names of realizations in twin.yaml. Default: the first one.",
+        minItems=1,
+        uniqueItems=True,
+    ),
+    "criticality": choice(
+        ["critical", "advisory"],
+        "critical (default): a failure blocks a release. advisory: a failure is only reported.",
+    ),
     "target": {"type": "object", "description": "The tested joints, frames or bodies."},
     "stimulus": {"type": "object", "description": "Poses, motions or commands of the test."},
-    "tolerance": {
-        "description": "Largest allowed error of each quantity: a number and a unit, such as '0.5 "
-        "mm'.",
-        "type": "object",
-        "additionalProperties": _TEXT,
-    },
+    "tolerance": mapping(
+        name_field(),
+        "Largest allowed error of each quantity: a number and a unit, such as '0.5 mm'.",
+    ),
     "expected": {
         "type": "object",
         "description": "Recorded values; written by pytest --twin-update.",
     },
-    "trace": {
-        "description": "Recorded series in a file next to the spec; written by pytest "
-        "--twin-update.",
-        "type": "object",
-        "properties": {
-            "file": {
-                "type": "string",
-                "pattern": r"^[^/\\]+\.csv$",
-                "description": "CSV file in the folder of the spec.",
-            },
+    "trace": table(
+        {
+            "file": text("CSV file in the folder of the spec.", pattern="^[^/\\\\]+\\.csv$"),
             "sha256": {**_SHA256, "description": "SHA-256 of the file, hex."},
         },
-        "required": ["file", "sha256"],
-        "additionalProperties": False,
-    },
-    "provenance": {
-        "description": "By whom, when and with what it was recorded; written by pytest "
-        "--twin-update.",
-        "type": "object",
-        "properties": {
-            "recorded_by": {**_TEXT, "description": "Person or service that recorded it."},
-            "recorded_at": {
-                "type": "string",
-                "pattern": r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z$",
-                "description": "UTC time, such as 2026-01-31T12:00:00Z.",
-            },
-            "realization": {**_TEXT, "description": "Realization that it was recorded with."},
-            "simulator": {**_TEXT, "description": "Simulator and its version."},
-            "parts": {
-                "type": "object",
-                "additionalProperties": _SHA256,
-                "description": "What the golden depends on, such as mujoco/inertia -> SHA-256, "
-                "hex.",
-            },
+        "Recorded series in a file next to the spec; written by pytest --twin-update.",
+        required=["file", "sha256"],
+    ),
+    "provenance": table(
+        {
+            "recorded_by": name_field("Person or service that recorded it."),
+            "recorded_at": text(
+                "UTC time, such as 2026-01-31T12:00:00Z.",
+                pattern="^\\d{4}-\\d\\d-\\d\\dT\\d\\d:\\d\\d:\\d\\d(\\.\\d+)?Z$",
+            ),
+            "realization": name_field("Realization that it was recorded with."),
+            "simulator": name_field("Simulator and its version."),
+            "parts": mapping(
+                _SHA256, "What the golden depends on, such as mujoco/inertia -> SHA-256, hex."
+            ),
         },
-        "required": ["recorded_by", "recorded_at", "realization", "simulator", "parts"],
-        "additionalProperties": False,
-    },
+        "By whom, when and with what it was recorded; written by pytest --twin-update.",
+        required=["recorded_by", "recorded_at", "realization", "simulator", "parts"],
+    ),
 }
 _REQUIRED = ("schema", "kind")
 
