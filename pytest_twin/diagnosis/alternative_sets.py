@@ -9,21 +9,43 @@ from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused_effects, reportable_without
 from pytest_twin.diagnosis.run import Run, ScoredHypothesis
+from pytest_twin.diagnosis.search.linearized_view import linearize_around
+from pytest_twin.diagnosis.search.listed_rivals import odds_of_listed_rivals, with_listed_rivals
 from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.search.noise_levels import label
 from pytest_twin.diagnosis.search.pruning import prune
 from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.shared_confidence import share_confidence
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.score import log_likelihood
 
 OTHER_SETS = "other sets of effects instead of the final one"
 """Name of the comparison, for the reader."""
 
 
-def limit_confidence(found: SearchResult) -> SearchResult:
-    """The result with confidences of at most 80 %, because a search or comparison is missing."""
-    confidence = {t: min(c, FINDINGS.most_uncompared) for t, c in found.selected.confidence.items()}
-    return replace(found, selected=replace(found.selected, confidence=confidence))
+def without_comparison(found: SearchResult, run: Run) -> SearchResult:
+    """The result if the time ended before its set was compared with others.
+
+    Rivals that the catalogue lists and that the search did not simulate get the share of their
+    linearized fit. If there is no time for that either, no confidence is above 50 %.
+
+    Args:
+        found: the result.
+        run: the running diagnosis.
+    """
+    final = found.pruned.fitted.hypothesis
+    if not final.terms:
+        return found
+    comparison = ModelComparison(found.prepared.problem, run)
+    try:
+        with run.budget.fitting():
+            best = comparison.score_without_fit(final, slopes=True)
+            penalty = comparison.penalty_per_effect
+            odds = odds_of_listed_rivals(best, linearize_around(best), penalty)
+    except OutOfTime:
+        even = {t: min(c, FINDINGS.most_in_doubt) for t, c in found.selected.confidence.items()}
+        return replace(found, selected=replace(found.selected, confidence=even))
+    return replace(found, selected=with_listed_rivals(found.selected, odds))
 
 
 def compare_with_other_sets(
@@ -35,7 +57,7 @@ def compare_with_other_sets(
     refused. The most likely other set replaces them, or else the set without the refused effects.
     For whole stick-slip motions the confidence of the search is kept, because only absolute
     deviations can be compared there. If the time ends while sets are fitted, they share the
-    confidence by the fit so far, and no confidence is above 80 %.
+    confidence by the fit so far, and :func:`without_comparison` adds the others.
 
     Args:
         found: result of the search.
@@ -89,5 +111,5 @@ def compare_with_other_sets(
     out = replace(found, selected=selected, pruned=pruned)
     if not compared.is_complete:
         run.skip(f"{OTHER_SETS} (begun, not finished)")
-        out = limit_confidence(out)
+        out = without_comparison(out, run)
     return out, compared.simulations

@@ -17,7 +17,6 @@ from pytest_twin.diagnosis.findings import (
     build_explanation,
     held_out_gains,
     limit_contradicted_confidence,
-    limit_unexplained_confidence,
     limit_untested_confidence,
     order_by_whole_motions,
     with_gains,
@@ -242,7 +241,6 @@ def _evaluate(
     explanation = limit_contradicted_confidence(explanation, notes)
     before, after = (residuals_everywhere(problem, h) for h in (EMPTY, at_tested.hypothesis))
     errors = joint_errors(prepared, before, after)
-    explanation = limit_unexplained_confidence(explanation, errors)
     tested = replace(
         found,
         prepared=prepared,

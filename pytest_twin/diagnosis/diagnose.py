@@ -12,7 +12,7 @@ import numpy as np
 from pytest_twin.diagnosis.alternative_sets import (
     OTHER_SETS,
     compare_with_other_sets,
-    limit_confidence,
+    without_comparison,
 )
 from pytest_twin.diagnosis.budget import COMPARISON_SHARE
 from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
@@ -53,7 +53,8 @@ from pytest_twin.diagnosis.unnamed_law.confirmation import (
     fit_laws_to_residual,
 )
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
-from pytest_twin.diagnosis.verdict import JointError, Verdict
+from pytest_twin.diagnosis.verdict import JointError, Verdict, stated_verdict
+from pytest_twin.diagnosis.window_length import tested_window
 from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.realization import Realization
@@ -122,6 +123,7 @@ class Diagnosis:
                 }
                 for joint, e in self.errors.items()
             },
+            "tested_windows": tested_window(tested.problem),
             "floor": {
                 source: dict(zip(tested.problem.joints, map(float, rms), strict=True))
                 for source, rms in tested.floor_parts.items()
@@ -221,7 +223,8 @@ def diagnose(
         progress(0.88)
         evaluated = evaluate_on_test(structure, trials, roles.test)
         tested, unexplained_residuals = evaluated.tested, dict[str, UnexplainedResidual]()
-        if tested.verdict in ("improved", "unexplained"):
+        stated = stated_verdict(tested.verdict, tested.errors)
+        if stated in ("improved", "unexplained"):
             unexplained_residuals = locate_unexplained(tested, *evaluated.location)
         free = confirm_on_test(
             laws, structure.found.prepared.problem, tested, searched_all=not run.skipped_searches
@@ -237,7 +240,7 @@ def diagnose(
         run.budget.add(problem)
     explanation = with_interpolation_uncertainty(evaluated.explanation, undetermined)
     return Diagnosis(
-        tested.verdict, explanation, free.tested.errors, unexplained_residuals,
+        stated, explanation, free.tested.errors, unexplained_residuals,
         tuple(dict.fromkeys(notes)),
         structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
         measure_cost(run.budget, since, structure.comparison_simulations), signals,
@@ -298,11 +301,8 @@ def find_structure(
             lambda: interpolation_with_fewer_effects(searches.found, setup, possible, run), None,
         )  # fmt: skip
         likeliest, between = (searches.found, None) if reconsidered is None else reconsidered
-        found, simulations = run.attempt(
-            OTHER_SETS,
-            lambda: compare_with_other_sets(likeliest, run),
-            (limit_confidence(likeliest), 0.0),
-        )
+        compared = run.attempt(OTHER_SETS, lambda: compare_with_other_sets(likeliest, run), None)
+    found, simulations = compared or (without_comparison(likeliest, run), 0.0)
     found = fit_final_parameters(found, run.budget)
     if setup.has_friction_creep:
         notes.append(FRICTION_CREEP_NOTE)

@@ -19,7 +19,7 @@ from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, joint_nam
 from pytest_twin.diagnosis.search.pruning import PrunedModel
 from pytest_twin.diagnosis.search.scored_model import AlternativeEffects, SelectedModel
 from pytest_twin.diagnosis.small_corrections import small_corrections
-from pytest_twin.diagnosis.verdict import UNSEEN, JointError
+from pytest_twin.diagnosis.verdict import UNSEEN
 from pytest_twin.effects.base import Parameter
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.trial import Trial
@@ -238,29 +238,8 @@ def limit_contradicted_confidence(explanation: Explanation, notes: list[str]) ->
     return replace(explanation, findings=tuple(findings))
 
 
-def limit_unexplained_confidence(
-    explanation: Explanation, errors: Mapping[str, JointError]
-) -> Explanation:
-    """The same findings with at most 80 % confidence where a residual remains.
-
-    A confidence compares effects of the catalogue with one another. A residual shows that
-    something else acts at the joint, and a finding may be only similar to it.
-
-    Args:
-        explanation: the findings.
-        errors: joint -> errors on the held-out recordings; a finding of the whole robot needs all.
-    """
-    findings = []
-    for f in explanation.findings:
-        of_finding = [e for joint, e in errors.items() if f.joint in (None, joint)]
-        if not all(e.is_explained for e in of_finding):
-            f = replace(f, confidence=min(f.confidence, FINDINGS.most_unexplained))
-        findings.append(f)
-    return replace(explanation, findings=tuple(findings))
-
-
 def limit_untested_confidence(explanation: Explanation) -> Explanation:
-    """The same findings with at most 80 % confidence, because no recording was held out."""
+    """The same findings with at most 90 % confidence, because no recording was held out."""
     findings = tuple(
         replace(f, confidence=min(f.confidence, FINDINGS.most_without_held_out))
         for f in explanation.findings

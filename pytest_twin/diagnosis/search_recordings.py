@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from pytest_twin.diagnosis.alternative_sets import compare_with_other_sets, limit_confidence
+from pytest_twin.diagnosis.alternative_sets import compare_with_other_sets, without_comparison
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.friction_constraint import (
     refit_with_better_constraint,
@@ -327,11 +327,12 @@ def _compare_with_windows(
     if other.may_improve(found):
         # Sets of effects are not compared over whole stick-slip motions; their confidence comes
         # from the windows.
-        other, _ = run.attempt(
+        compared = run.attempt(
             "other sets of effects instead of those of windows",
             partial(compare_with_other_sets, other, run),
-            (limit_confidence(other), 0.0),
+            None,
         )
+        other = without_comparison(other, run) if compared is None else compared[0]
         if found.has_stick_slip:
             with run.budget.uncounted():
                 whole = refit_with_full_drive(found, other, build_longer_windows())

@@ -114,7 +114,7 @@ def read_trials(
         trials, aside, said = _by_count(trials)
         notes.append(said)
     elif not aside:
-        notes.append("no held-out recording could be used; confidence is at most 80 %")
+        notes.append("no held-out recording could be used; confidence is at most 90 %")
     notes += _reading_notes([*trials, *aside])
     notes += _doubtful_data_notes([*trials, *aside])
     notes += _notes_on_many_turns([*trials, *aside], structure)
@@ -154,7 +154,7 @@ def _by_count(trials: Sequence[Trial]) -> tuple[list[Trial], list[Trial], str]:
         return (
             list(trials),
             [],
-            "one recording only: nothing is held out, and confidence is at most 80 %; make a "
+            "one recording only: nothing is held out, and confidence is at most 90 %; make a "
             "second recording",
         )
     count = max(1, len(paths) // TRIALS.one_held_out_of)

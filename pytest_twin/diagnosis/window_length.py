@@ -19,6 +19,17 @@ def typical_window_length(problem: Problem) -> float:
     return float(np.median([s.time[-1] - s.time[0] for s in problem.simulator.segments]))
 
 
+def tested_window(problem: Problem) -> float | None:
+    """Duration of the windows in which the errors of a problem are measured, s.
+
+    None if whole recordings are predicted, each from its first state.
+    """
+    segments = [problem.simulator.segments[s] for s in problem.tested_segments]
+    if not all(s.starts_in_motion for s in segments):
+        return None
+    return float(np.median([s.time[-1] - s.time[0] for s in segments]))
+
+
 def model_follows_recordings(problem: Problem, left: FloatArray) -> bool:
     """Whether the RMS error of every joint is small against its travel in a segment.
 

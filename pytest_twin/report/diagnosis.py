@@ -99,7 +99,19 @@ def headline(document: Mapping[str, Any]) -> str:
         return _NO_MISMATCH_WITH_CORRECTIONS
     if document["verdict"] == "unexplained" and document.get("not_tried"):
         return _ENDED_EARLY
-    return _VERDICT[document["verdict"]]
+    return _VERDICT[document["verdict"]] + _measured(document)
+
+
+def _measured(document: Mapping[str, Any]) -> str:
+    """Return the largest error in noise floors, and the windows in which it was measured."""
+    if document["verdict"] == "unexplained" or not document.get("held_out"):
+        return ""
+    error = "rms_before" if document["verdict"] == "no_mismatch" else "rms_after"
+    floors, joint = max((e[error] / e["floor"], j) for j, e in document["held_out"].items())
+    seconds = document.get("tested_windows")
+    windows = f", over windows of {number(seconds)} s" if seconds else ""
+    at = f" at {joint}" if len(document["held_out"]) > 1 else ""
+    return f" (at most {floors:.2g} noise floors{at}{windows})"
 
 
 def errors_shown(error: Mapping[str, Any]) -> tuple[str, str, str]:

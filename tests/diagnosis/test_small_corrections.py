@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from pytest_twin.diagnosis.verdict import JointError, verdict
+from pytest_twin.diagnosis.verdict import JointError, stated_verdict, verdict
 from pytest_twin.report.diagnosis import headline
 from pytest_twin.report.finding_words import place_of_set
 
@@ -70,3 +70,38 @@ def test_the_headline_of_small_corrections_says_that_the_error_has_no_consequenc
     diagnosis = {"verdict": "no_mismatch", "small_corrections": [{}]}
     assert "consequence" in headline(diagnosis)
     assert "noise floor" in headline({"verdict": "no_mismatch", "small_corrections": []})
+
+
+@pytest.mark.parametrize(
+    ("floors", "expected"),
+    [(1.05, "explained"), (3.0, "explained"), (3.1, "improved"), (4.4, "improved")],
+)
+def test_only_a_residual_at_the_noise_floor_is_called_explained(
+    floors: float, expected: str
+) -> None:
+    """A wrong effect often removes 98 % of the squared error and leaves several floors."""
+    errors = {
+        "shoulder": JointError(3e-4, 2e-4, 2e-4, "rad"),
+        "elbow": JointError(50 * 2e-4, floors * 2e-4, 2e-4, "rad"),
+    }
+    of_search = verdict(errors, [LARGE])
+    assert of_search == "explained", "the search may end"
+    assert stated_verdict(of_search, errors) == expected
+
+
+def test_the_headline_has_the_residual_in_noise_floors_and_the_windows_of_its_measurement() -> None:
+    error = {"rms_before": 0.01, "rms_after": 2.4e-4, "floor": 2e-4, "unit": "rad"}
+    diagnosis = {"verdict": "explained", "held_out": {"elbow": error}, "tested_windows": None}
+    assert headline(diagnosis) == (
+        "Explained: with these findings the residual is at the noise floor "
+        "(at most 1.2 noise floors)"
+    )
+    slipping = {**error, "rms_after": 8.8e-4}
+    of_windows = {
+        "verdict": "improved",
+        "held_out": {"shoulder": error, "elbow": slipping},
+        "tested_windows": 0.5,
+    }
+    assert headline(of_windows).endswith(
+        "a residual remains (at most 4.4 noise floors at elbow, over windows of 0.5 s)"
+    )

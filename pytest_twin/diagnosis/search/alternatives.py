@@ -17,6 +17,7 @@ from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused_effects
 from pytest_twin.diagnosis.search.elimination import EliminationResult, eliminate, have_same_forms
 from pytest_twin.diagnosis.search.linearized_view import linearize_around
+from pytest_twin.diagnosis.search.listed_rivals import odds_of_listed_rivals, with_listed_rivals
 from pytest_twin.diagnosis.search.model_comparison import (
     DECIDING_ITERATIONS,
     RANKING_ITERATIONS,
@@ -121,7 +122,7 @@ class AlternativeComparison:
     ) -> None:
         """Set confidences from the linearized comparison alone, in the reserved time.
 
-        They are limited at both ends, because no alternative was simulated.
+        No alternative was simulated, so every rival that the catalogue lists gets its share.
 
         Args:
             selected: the present fit; its confidences are set.
@@ -140,27 +141,26 @@ class AlternativeComparison:
                 best = replace(best, problem=self.problem.at(best.hypothesis))
                 linearized = linearize_around(best)
                 penalty = self.comparison.penalty_per_effect
+                odds = odds_of_listed_rivals(best, linearized, penalty)
                 found = [
                     x
                     for x in find_exchanges(best, linearized, penalty)
                     # Only a simulation can compare an elastic transmission with other effects.
-                    if x.new is None or not x.new.law.is_elastic_transmission
+                    # Listed rivals count with their own odds.
+                    if x.new is None
+                    or not (
+                        x.new.law.is_elastic_transmission
+                        or (len(x.removed) == 1 and x.new in odds[x.removed[0]])
+                    )
                 ]
                 possible, _ = self._without_impossible(found, [])
-                selected.weigh(
-                    self.evidence_of_exchanges(best, possible, [], simplification_evidence)
-                )
+                evidence = self.evidence_of_exchanges(best, possible, [], simplification_evidence)
         except OutOfTime:
             return
+        selected.weigh(evidence)
+        weighed = with_listed_rivals(selected, odds)
+        selected.confidence, selected.alternatives = weighed.confidence, weighed.alternatives
         selected.not_simulated = frozenset(terms)
-        for t in terms:
-            linearized_share = selected.confidence[t]
-            selected.confidence[t] = kept = float(
-                np.clip(linearized_share, SELECTION.linearized_least, SELECTION.linearized_most)
-            )
-            if kept > linearized_share:
-                rest = (1.0 - kept) / (1.0 - linearized_share)
-                selected.alternatives[t] = [(a, rest * c) for a, c in selected.alternatives[t]]
 
     def simulated_exchanges(
         self, best: ScoredModel, found: Sequence[TermExchange], additions: Container[Term | None]

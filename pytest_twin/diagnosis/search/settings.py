@@ -28,9 +28,6 @@ class SelectionSettings:
         even: evidence within which residuals below the noise floor decide.
         other_form: evidence by which another form of a law with as many parameters must be ahead.
         close: alternatives to one effect that are simulated.
-        linearized_least, linearized_most: least and greatest confidence of an effect that was
-            compared with its alternatives in the linearized motion alone. Of 51 such names in blind
-            cases that ended after 60 s, 29 were right.
         clearly_less: factor between residuals below the noise floor that counts.
         least_told: share of the noise floor below which residuals are equal.
     """
@@ -45,8 +42,6 @@ class SelectionSettings:
     even: float = 10.0
     other_form: float = 10.0
     close: int = 2
-    linearized_least: float = 0.2
-    linearized_most: float = 0.6
     clearly_less: float = 1.25
     least_told: float = 0.2
 
