@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -19,6 +20,8 @@ ANGLES: Mapping[str, float] = {
     "mm": 1e-3,
 }
 """Unit of a position -> factor to rad or m."""
+_FREQUENCY = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?)\s*(k?)Hz\b")
+"""A frequency in the text of a filter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +32,9 @@ class PositionSignal:
         side: side of the gear on which the encoder is mounted.
         unit: one of ``ANGLES``.
         source: ``measured`` by an encoder, or ``inferred`` from commands.
-        filter, clock, rate: as the manufacturer states them, rate in Hz; stored, not used.
+        filter: low-pass of the signal as the manufacturer states it. A frequency in it, such as
+            ``"20 Hz"``, is the cutoff at which an identification filters the motion.
+        clock, rate: as the manufacturer states them, rate in Hz; stored, not used.
         wrapped: whether the values of a revolute joint stay within one turn, such as -pi to pi;
             None where the values decide.
     """
@@ -55,7 +60,9 @@ class EffortSignal:
         signed: False where only the magnitude is recorded.
         limit: largest magnitude of the drive, in the recorded unit.
         source: ``measured``, or ``inferred`` from commands.
-        filter, clock, rate: as the manufacturer states them, rate in Hz; stored, not used.
+        filter: low-pass of the signal as the manufacturer states it. A frequency in it, such as
+            ``"20 Hz"``, is the cutoff at which an identification filters the motion.
+        clock, rate: as the manufacturer states them, rate in Hz; stored, not used.
     """
 
     quantity: Quantity = "torque"
@@ -100,6 +107,16 @@ class JointSignals:
     gear: float = 1.0
     zero: float = 0.0
     shared: CoupledJoint | None = None
+
+    @property
+    def filter_cutoff(self) -> float | None:
+        """Lowest cutoff, Hz, that the filters of position and effort state; None without one."""
+        stated = [
+            float(number) * (1e3 if prefix else 1.0)
+            for text in (self.position.filter, self.effort.filter)
+            for number, prefix in _FREQUENCY.findall(text)
+        ]
+        return min((cutoff for cutoff in stated if cutoff > 0.0), default=None)
 
 
 @dataclass(frozen=True, slots=True)

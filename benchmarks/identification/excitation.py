@@ -1,6 +1,6 @@
 """Expected covariance of D-optimal motion against random motion, and against published motion.
 
-    python benchmarks/identification/excitation.py [--solver ipopt] [--flobaroid CHECKOUT]
+    python benchmarks/identification/excitation.py [--flobaroid CHECKOUT]
         [--out JSON] [ROBOT ...]
 
 Random motion is a Fourier series with the same basis functions, limits and length and with random
@@ -30,7 +30,6 @@ import tx40_files
 
 from pytest_twin.excitation.approved_limits import ApprovedLimits, JointLimits, Stop
 from pytest_twin.excitation.d_optimal import Design
-from pytest_twin.excitation.minimizers import SOLVERS, minimizer
 from pytest_twin.excitation.motion import JointStates
 from pytest_twin.excitation.noise import noise_of
 from pytest_twin.excitation.prediction import of_base
@@ -124,13 +123,12 @@ def compared(
     realization: Realization,
     limits: ApprovedLimits,
     theirs: JointStates | None,
-    solver: str,
 ) -> dict:
     """Compare our motion with random motion, and with the published one if it exists."""
     regressor = Regressor(realization, limits.names)
     base = structural_base(regressor)
     std = noise_of(realization, limits).effort
-    design = Design(limits, regressor, base, std, minimize=minimizer(solver))
+    design = Design(limits, regressor, base, std)
     since = time.process_time()
     best = design.optimum(1)
     seconds = time.process_time() - since
@@ -228,7 +226,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("robots", nargs="*", help="some of the robots; all by default")
     parser.add_argument("--flobaroid", type=Path, help="a checkout of github.com/kjyv/FloBaRoID")
-    parser.add_argument("--solver", choices=SOLVERS, default=SOLVERS[0])
     parser.add_argument("--out", type=Path, help="write the figures as JSON")
     args = parser.parse_args()
     cases: list[tuple[str, Any]] = []
@@ -253,7 +250,7 @@ def main() -> None:
         if args.robots and name.split(" ")[0] not in args.robots and name not in args.robots:
             continue
         realization, limits, theirs = make()
-        one = compared(name, realization, limits, theirs, args.solver)
+        one = compared(name, realization, limits, theirs)
         found.append(one)
         print(_line(one), flush=True)
         if args.out is not None:

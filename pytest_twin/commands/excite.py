@@ -11,7 +11,6 @@ from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
-from pytest_twin.excitation.minimizers import SOLVERS
 from pytest_twin.formats import atomic, results
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import excitation
@@ -54,12 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", metavar="N", type=_seed, default=1, help="seed of all random choices (default: 1)"
     )
-    parser.add_argument(
-        "--solver",
-        choices=SOLVERS,
-        default=SOLVERS[0],
-        help="solver of the D-optimal series; ipopt needs casadi (default: scipy)",
-    )
     model_files.add_arguments(parser)
 
 
@@ -81,12 +74,7 @@ def run(args: argparse.Namespace) -> int:
             show(blank["template"])
         found = sandbox.call(
             "pytest_twin.excitation.excite:excite_file",
-            {
-                "model": model,
-                "out": str(staging),
-                "seed": args.seed,
-                "solver": args.solver,
-            },
+            {"model": model, "out": str(staging), "seed": args.seed},
             progress=progress,
         )
         document, abort = found["document"], found["abort"]

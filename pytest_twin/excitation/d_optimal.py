@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import scipy.optimize
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.closed_loop import WORSE
 from pytest_twin.excitation.fourier import REST, Series, free_time, series
-from pytest_twin.excitation.lbfgs_b import lbfgs_b
-from pytest_twin.excitation.minimizers import Minimizer
 from pytest_twin.excitation.motion import JointStates, Path
 from pytest_twin.identification.regressor.base_parameters import BaseParameters
 from pytest_twin.identification.regressor.regressor import Regressor
@@ -79,7 +78,6 @@ class Design:
         base: parameters to identify.
         std: (joints,) standard deviation of the effort's noise, N*m or N.
         spare: function of a pose (j,) and an upper bound: spare distance, m.
-        minimize: solver.
     """
 
     def __init__(
@@ -89,10 +87,8 @@ class Design:
         base: BaseParameters,
         std: FloatArray,
         spare: Callable[[FloatArray, float], float] = lambda position, most: most,
-        minimize: Minimizer = lbfgs_b,
     ) -> None:
         self._spare = spare
-        self._minimize = minimize
         self._approved = approved
         self._regressor = regressor
         self._base = base
@@ -124,8 +120,11 @@ class Design:
         return Optimum(coefficients, self.log_det(coefficients), tuple(v for v, _ in found))
 
     def _minimized(self, first: FloatArray, iterations: int, near: bool) -> FloatArray:
-        objective = partial(self._objective, near=near)
-        return self._minimize(objective, first.ravel(), iterations, _TOLERANCE).reshape(first.shape)
+        solved = scipy.optimize.minimize(
+            partial(self._objective, near=near), first.ravel(),
+            jac=True, method="L-BFGS-B", options={"maxiter": iterations, "ftol": _TOLERANCE},
+        )  # fmt: skip
+        return np.asarray(solved.x).reshape(first.shape)
 
     def random(self, seed: int) -> FloatArray:
         """Return (j, m) coefficients of a random motion that uses the limits fully."""

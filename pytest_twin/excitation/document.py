@@ -49,7 +49,6 @@ def document_of(found: Excitation, written: Mapping[str, Sequence[str]]) -> dict
         "approved_by": approved.approved_by,
         "limits_sha256": _digest(approved.source),
         "seed": found.seed,
-        "solver": found.solver,
         "margin": approved.margin,
         "closed_loop": _closed_loop(found),
         "mechanisms": list(approved.mechanisms),

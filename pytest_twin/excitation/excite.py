@@ -22,7 +22,6 @@ from pytest_twin.excitation.designs import (
 from pytest_twin.excitation.document import courses, document_of, on_abort
 from pytest_twin.excitation.find_safe import RejectedDesign, Robot, SafeMotion, find_safe
 from pytest_twin.excitation.gravity_grid import static_base
-from pytest_twin.excitation.minimizers import minimizer
 from pytest_twin.excitation.noise import Noise, noise_of
 from pytest_twin.excitation.prediction import PredictedAccuracy
 from pytest_twin.excitation.read_limits import missing_error, movable_joints, read_approved
@@ -51,7 +50,6 @@ class Excitation:
         safe, refused: safe motions, and designs without a safe motion.
         predicted: parameters that the motions of role fit determine.
         seed: seed of all random choices.
-        solver: solver for the D-optimal series.
     """
 
     realization: Realization
@@ -63,7 +61,6 @@ class Excitation:
     refused: tuple[RejectedDesign, ...]
     predicted: tuple[PredictedAccuracy, ...]
     seed: int
-    solver: str
 
 
 def missing_template(model: str) -> dict[str, Any]:
@@ -87,7 +84,6 @@ def excite_file(
     model: str,
     out: str,
     seed: int,
-    solver: str = "scipy",
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Design, check, write; runs in the child process.
@@ -100,7 +96,7 @@ def excite_file(
     realization, twin = _load(path)
     if twin is None:
         raise missing_error(path, missing_lines({}, movable_joints(realization)), None)
-    return write_motions(excite(realization, twin, seed, solver, progress), path, Path(out))
+    return write_motions(excite(realization, twin, seed, progress), path, Path(out))
 
 
 def write_motions(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:
@@ -120,19 +116,13 @@ def excite(
     realization: Realization,
     twin: Twin,
     seed: int = 1,
-    solver: str = "scipy",
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Excitation:
     """Design all requested motions, and predict the parameters that they determine.
 
-    Args:
-        solver: one of :data:`~pytest_twin.excitation.minimizers.SOLVERS`.
-
     Raises:
-        SpecError: lines are missing, a value is invalid, the start is not safe, or the solver is
-            not installed.
+        SpecError: lines are missing, a value is invalid, or the start is not safe.
     """
-    minimize = minimizer(solver)
     approved = read_approved(realization, twin)
     noise = noise_of(realization, approved)
     around = ClearanceChecker(realization, approved)
@@ -143,7 +133,7 @@ def excite(
     payloads = tuple(twin.payloads)
     optimal = None
     if "inertia" in approved.mechanisms:
-        optimal = d_optimal.Design(approved, regressor, base, noise.effort, around.spare, minimize)
+        optimal = d_optimal.Design(approved, regressor, base, noise.effort, around.spare)
     designs = single_joint_designs(approved, loads, seed) + several_joint_designs(
         approved, regressor, noise.effort, around, payloads, optimal, seed
     )
@@ -158,7 +148,7 @@ def excite(
     predicted = _predict_accuracies(safe, approved, noise, regressor, base, robots, carrier)
     return Excitation(
         realization, approved, noise, regressor, base, tuple(safe), tuple(refused),
-        tuple(predicted), seed, solver,
+        tuple(predicted), seed,
     )  # fmt: skip
 
 

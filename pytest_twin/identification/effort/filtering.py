@@ -24,6 +24,12 @@ _MOTION_SHARE = 0.99
 _ABOVE_NOISE = 10.0
 """Threshold of the spectrum, relative to the mean power of encoder noise. Noise itself exceeds it
 in one of 22,000 spectral lines."""
+_BELOW_PEAK = 1e-3
+"""Smallest power of a band, relative to the joint's strongest band, that is counted as motion. The
+noise of uneven stamps is not white: it exceeds the reference above, but stays 40 dB below the
+motion."""
+_BANDS_PER_OCTAVE = 3
+"""Width of these bands."""
 _ACCELERATION = 3.0
 """Ratio of the bandwidth of accelerations to that of velocities."""
 _POSITION_CUTOFF = 10.0
@@ -85,10 +91,12 @@ def choose_filter(recordings: Sequence[MeasuredRecording]) -> Filter:
     """Choose one filter for all recordings, from the bandwidth of the fastest joint.
 
     The velocity's power is that of all recordings together: a joint that is held in some of them
-    trembles there, and this is not the motion to be filtered.
+    trembles there, and this is not the motion to be filtered. A filter that ``signals:`` states
+    takes precedence: regressor and effort are low-passed there.
     """
     slowest = min(one.rate for one in recordings)
-    dynamic = _ACCELERATION * _bandwidth(recordings)
+    stated = [one.filter_cutoff for one in recordings if one.filter_cutoff is not None]
+    dynamic = min(stated) / _PARALLEL_CUTOFF if stated else _ACCELERATION * _bandwidth(recordings)
     highest = _HIGHEST * slowest
     return Filter(
         cutoff=min(_POSITION_CUTOFF * dynamic, highest),
@@ -131,10 +139,11 @@ def decimate(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
 def _bandwidth(recordings: Sequence[MeasuredRecording]) -> float:
     """Frequency, Hz, below which the velocity of every joint has nearly all of its power."""
     slowest = min(one.rate for one in recordings)
-    lines = [_power(one) for one in recordings]
-    frequency = np.concatenate([own for own, _ in lines])
+    spectra = [_power(one) for one in recordings]
+    frequency = np.concatenate([line_frequency for line_frequency, _ in spectra])
     order = np.argsort(frequency, kind="stable")
-    summed = np.cumsum(np.concatenate([power for _, power in lines])[order], axis=0)
+    power = _excited(frequency[order], np.concatenate([lines for _, lines in spectra])[order])
+    summed = np.cumsum(power, axis=0)
     moved = summed[-1] > 0
     if not moved.any():
         return slowest / 10.0
@@ -143,6 +152,24 @@ def _bandwidth(recordings: Sequence[MeasuredRecording]) -> float:
     # A joint with as much noise as motion is not used.
     sound = ends < slowest / 10.0
     return float(ends[sound].max()) if sound.any() else slowest / 50.0
+
+
+def _excited(frequency: FloatArray, power: FloatArray) -> FloatArray:
+    """(k, joints) power in the bands that the motion excites, 0 in the others.
+
+    Args:
+        frequency: (k,) Hz, increasing.
+        power: (k, joints) energy of the velocities above the noise.
+    """
+    lowest = float(frequency[frequency > 0.0].min(initial=np.inf))
+    octave = np.log2(np.maximum(frequency, lowest) / lowest)
+    band = np.floor(_BANDS_PER_OCTAVE * octave).astype(np.intp)
+    density = np.zeros((int(band.max()) + 1, power.shape[1]))
+    np.add.at(density, band, power)
+    width = lowest * 2.0 ** (np.arange(len(density)) / _BANDS_PER_OCTAVE)
+    density /= width[:, None]
+    excited = density >= _BELOW_PEAK * density.max(axis=0)
+    return np.where(excited[band], power, 0.0)
 
 
 def _power(recording: MeasuredRecording) -> tuple[FloatArray, FloatArray]:
