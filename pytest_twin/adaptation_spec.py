@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from pytest_twin.dependency import canonical
+from pytest_twin.formats import typed
 from pytest_twin.installed import entry_points_by_name, package_of
 
 Span = tuple[float, float]
@@ -65,18 +66,7 @@ class ResidualSpec:
     @classmethod
     def from_json(cls, data: Mapping[str, Any], file: Path | None) -> ResidualSpec:
         """Build the spec from the validated table of ``twin.yaml`` and the resolved file."""
-        joints = {
-            name: JointRegion(
-                float(one["bound"]),
-                _span(one["position"]),
-                _span(one["velocity"]),
-                float(one["jump"]),
-            )
-            for name, one in data["joints"].items()
-        }
-        times = ("period", "max_age", "hold_off", "uncertainty")
-        given = {name: float(data[name]) for name in times if name in data}
-        return cls(data["id"], data["kind"], joints, file, data.get("function"), **given)
+        return replace(typed.build({**data, "file": None}, cls), file=file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +90,8 @@ class UpdateSpec:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> UpdateSpec:
         """Build the spec from the validated table of ``twin.yaml``."""
-        parameters = {
-            name: (float(one["lower"]), float(one["upper"]))
-            for name, one in data["parameters"].items()
-        }
-        numbers = ("window", "forgetting", "noise")
-        given = {name: float(data[name]) for name in numbers if name in data}
-        return cls(data["id"], parameters, **given)
+        spans = {name: (one["lower"], one["upper"]) for name, one in data["parameters"].items()}
+        return typed.build({**data, "parameters": spans}, cls)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +111,7 @@ class ShadowPolicy:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> ShadowPolicy:
         """Build the policy from the validated table of ``twin.yaml``, with defaults."""
-        given = {name: {k: float(v) for k, v in table.items()} for name, table in data.items()}
-        return cls(**given)
+        return typed.build(data, cls)
 
 
 def digest_of(spec: ResidualSpec | UpdateSpec, file_sha256: str | None) -> str:
@@ -153,8 +137,3 @@ def digest_of(spec: ResidualSpec | UpdateSpec, file_sha256: str | None) -> str:
             points = entry_points_by_name(RESIDUALS).get(spec.function, ())
             content["packages"] = [package_of(point) for point in points]
     return hashlib.sha256(canonical(content)).hexdigest()
-
-
-def _span(pair: Any) -> Span:
-    low, high = (float(value) for value in pair)
-    return low, high

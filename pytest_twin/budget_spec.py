@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.formats import typed
 from pytest_twin.formats.result_record import ResultRecord
-from pytest_twin.record_spec import Unaffected, unaffected_of
+from pytest_twin.record_spec import Unaffected
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +43,5 @@ class BudgetSpec:
         record: ResultRecord | None = None,
     ) -> BudgetSpec:
         """Build the spec from the validated table of ``twin.yaml`` and the resolved recordings."""
-        tolerance = {name: float(value) for name, value in data.get("tolerance", {}).items()}
-        return cls(
-            frame=data.get("frame"),
-            poses=tuple(
-                {joint: float(value) for joint, value in pose.items()}
-                for pose in data.get("poses", ())
-            ),
-            recordings=recordings,
-            position=tolerance.get("position"),
-            rotation=tolerance.get("rotation"),
-            owners=dict(data.get("owners", {})),
-            record=record,
-            unaffected=unaffected_of(data),
-        )
+        stated = {**data, **data.get("tolerance", {}), "recordings": ()}
+        return replace(typed.build(stated, cls), recordings=recordings, record=record)

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
+from pytest_twin.formats import typed
+
 WORLD = "world"
 
 
@@ -411,75 +413,7 @@ class Structure:
         Raises:
             ValueError: fields missing, unknown or of another shape.
         """
-        table = _strings(data, object)
         expected = {item.name for item in fields(cls) if item.init}
-        if set(table) != expected:
+        if not isinstance(data, Mapping) or set(data) != expected:
             raise ValueError("not the fields of a structure")
-        ranges = _strings(table["joint_range"], object)
-        return cls(
-            realization=_text(table["realization"]),
-            body_parent=_strings(table["body_parent"], str),
-            joint_body=_strings(table["joint_body"], str),
-            joint_range={
-                joint: None if pair is None else _pair(pair, float)
-                for joint, pair in ranges.items()
-            },
-            joint_type=_strings(table["joint_type"], str),
-            frame_body=_strings(table["frame_body"], str),
-            actuator_joints=_lists(table["actuator_joints"]),
-            collision_bodies=frozenset(_texts(table["collision_bodies"])),
-            couplings=_lists(table["couplings"]),
-            part_ids=frozenset(_texts(table["part_ids"])),
-            body_tree=_strings(table["body_tree"], str),
-            actuator_bodies=_lists(table["actuator_bodies"]),
-            equalities=frozenset(_texts(table["equalities"])),
-            loops=frozenset(_texts(table["loops"])),
-            contact_masks={
-                body: _pair(pair, int)
-                for body, pair in _strings(table["contact_masks"], object).items()
-            },
-            contact_pairs=tuple(_pair(pair, str) for pair in _list(table["contact_pairs"])),
-            body_meshes=_lists(table["body_meshes"]),
-            geom_body=_strings(table["geom_body"], str),
-            joint_inputs=_lists(table["joint_inputs"]),
-            leaders=_strings(table["leaders"], str),
-            loose=frozenset(_texts(table["loose"])),
-        )
-
-
-def _list(data: object) -> list[Any]:
-    if not isinstance(data, list | tuple):
-        raise ValueError("not a list")
-    return list(data)
-
-
-def _text(data: object) -> str:
-    if not isinstance(data, str):
-        raise ValueError("not a text")
-    return data
-
-
-def _texts(data: object) -> tuple[str, ...]:
-    return tuple(_text(item) for item in _list(data))
-
-
-def _strings(data: object, kind: type) -> dict[str, Any]:
-    if not isinstance(data, Mapping) or not all(
-        isinstance(key, str) and isinstance(value, kind) for key, value in data.items()
-    ):
-        raise ValueError("not a table")
-    return dict(data)
-
-
-def _lists(data: object) -> dict[str, tuple[str, ...]]:
-    return {key: _texts(value) for key, value in _strings(data, object).items()}
-
-
-def _pair(data: object, kind: type) -> tuple[Any, Any]:
-    items = _list(data)
-    kinds = (int, float) if kind is float else (kind,)
-    if len(items) != 2 or not all(
-        isinstance(item, kinds) and not isinstance(item, bool) for item in items
-    ):
-        raise ValueError("not a pair")
-    return kind(items[0]), kind(items[1])
+        return typed.build(data, cls)

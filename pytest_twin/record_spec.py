@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pytest_twin.formats import typed
+
 RESULTS_WITH_MODELS = ("diagnosis.json", "identification.json")
 """Results of commands that write a fitted model into the folder ``realization`` beside them."""
 
@@ -28,4 +30,4 @@ class Unaffected:
 
 def unaffected_of(data: Mapping[str, Any]) -> tuple[Unaffected, ...]:
     """Return the statements of a validated entry of ``twin.yaml``."""
-    return tuple(Unaffected(**stated) for stated in data.get("unaffected", ()))
+    return typed.build(data.get("unaffected", ()), tuple[Unaffected, ...])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
+from pytest_twin.formats import typed
 from pytest_twin.signals import NO_SIGNALS, Signals
 
 CommandMode = Literal["position", "velocity", "effort"]
@@ -122,21 +123,8 @@ class RecordingOptions:
 
     def to_json(self) -> dict[str, Any]:
         """Return the declared options as JSON-able values."""
-        mode = self.command_mode
-        found = {
-            "joints": self.joints.table,
-            "command_mode": dict(mode) if isinstance(mode, Mapping) else mode,
-            "clock": self.clock,
-            "command_between": self.command_between,
-            "command_between_default": self.command_between_default,
-            "columns": dict(self.columns),
-            "units": self.units,
-            "time_unit": self.time_unit,
-            "motor_calibration": self.motor_calibration,
-            "signals": dict(self.signals.table),
-            "base": self.base,
-        }
-        return {key: value for key, value in found.items() if value}
+        own_tables = {"joints": self.joints.table, "signals": dict(self.signals.table)}
+        return {k: v for k, v in {**typed.plain(self), **own_tables}.items() if v}
 
     @property
     def reading(self) -> dict[str, Any]:
@@ -153,18 +141,11 @@ class RecordingOptions:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Build options from what :meth:`to_json` returned; other keys are ignored."""
-        return cls(
+        scalars = {k: v for k, v in data.items() if v and k not in ("joints", "signals")}
+        return replace(
+            typed.build(scalars, cls),
             joints=JointNames.of(data.get("joints") or {}),
-            command_mode=data.get("command_mode"),
-            clock=data.get("clock"),
-            command_between=data.get("command_between"),
-            command_between_default=data.get("command_between_default"),
-            columns=dict(data.get("columns") or {}),
-            units=data.get("units"),
-            time_unit=data.get("time_unit"),
-            motor_calibration=data.get("motor_calibration"),
             signals=Signals.from_json(data.get("signals") or {}),
-            base=data.get("base"),
         )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from pytest_twin import __version__
 from pytest_twin.diagnosis.noise import sensor_noise
 from pytest_twin.diagnosis.patched.model import read_patched_model
+from pytest_twin.formats import typed
 from pytest_twin.ranges.bodies import Body
 from pytest_twin.ranges.check import FEWEST_ROBOTS, assess, plot_data, predict_envelopes
 from pytest_twin.ranges.distribution import Distribution
@@ -63,13 +64,7 @@ class Request:
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> Request:
         """Build a request from fields with paths as text."""
-        paths = {
-            name: [Path(one) for one in fields[name]]
-            for name in ("final", "held_out")
-            if name in fields
-        }
-        against = fields.get("against")
-        return cls(**{**fields, **paths, "against": None if against is None else Path(against)})
+        return typed.build(fields, cls)
 
 
 def ranges_of_file(

@@ -9,6 +9,7 @@ from typing import Any
 
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import FormatError
+from pytest_twin.formats import typed
 from pytest_twin.staleness import Model, joint_calibration, twin_parts
 from pytest_twin.twin import JointCalibration, Pose, Twin
 
@@ -54,33 +55,20 @@ class Uses:
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that differ from their defaults, JSON-able."""
-        stated = {name: getattr(self, name) for name in self.__slots__}
-        default = Uses()
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in stated.items()
-            if value != getattr(default, name)
-        }
+        default = typed.plain(Uses())
+        return {name: v for name, v in typed.plain(self).items() if v != default[name]}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Uses:
         """Build from what :meth:`to_json` returned.
 
         Raises:
-            AttributeError, ValueError: unknown fields, or values of another type.
+            ValueError: unknown fields, or values of another type.
         """
-        values: dict[str, Any] = {}
-        for name, value in data.items():
-            default = getattr(cls(), name)
-            if isinstance(default, bool | str):
-                if not isinstance(value, type(default)):
-                    raise ValueError(f"{name}: {value!r}")
-                values[name] = value
-            elif isinstance(value, list) and all(isinstance(one, str) for one in value):
-                values[name] = tuple(value)
-            else:
-                raise ValueError(f"{name}: not names")
-        return cls(**values)
+        unknown = set(data) - set(cls.__slots__)
+        if unknown:
+            raise ValueError(min(unknown))
+        return typed.build(data, cls)
 
     def model_parts(self, structure: Structure) -> Iterator[str]:
         """Ids, without the name of the realization, of the parts of the model that are used."""
