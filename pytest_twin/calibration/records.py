@@ -15,6 +15,7 @@ from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.observability import Direction, affected_unknowns
 from pytest_twin.calibration.parameters import POSE_LABELS, State
+from pytest_twin.calibration.plan import TARGET_TOLERANCE, Plan
 from pytest_twin.calibration.problem import (
     INVERTED_RECORDS,
     MARKER,
@@ -299,7 +300,20 @@ def _scale(found: Estimate) -> dict[str, Any]:
     problem = found.fit.problem
     ((_, spread),) = _scalars(found, "scale")
     value, std = (one / problem.camera_unit for one in (found.fit.state.scale, spread))
-    width = found.quantile * std
+    return scale_record(value, std, found.quantile, problem.layout.scale_prior)
+
+
+def scale_record(value: float, std: float, quantile: float, prior: float | None) -> dict[str, Any]:
+    """Return the record of the scale of the camera's positions.
+
+    Args:
+        value: scale, 1 for positions in m.
+        std: its standard deviation.
+        quantile: half width of the 95 % interval in standard deviations.
+        prior: standard deviation of the target's size relative to the stated one; None if the scale
+            has no prior.
+    """
+    width = quantile * std
     made = {
         "value": value,
         "unit": "1",
@@ -307,11 +321,21 @@ def _scale(found: Estimate) -> dict[str, Any]:
         "ci95": [value - width, value + width],
         "meaning": "position in camera_from_target = value * position in m",
     }
-    prior = problem.layout.scale_prior
     if prior is not None:
         source = "prior" if std > HELD_BY_PRIOR * prior else "data"
         made |= {"prior_std": prior, "determined_by": source, "asked": False}
     return made
+
+
+def size_note(plan: Plan) -> str:
+    """Return the note on the assumed tolerance of the target's size; empty if it is stated."""
+    if "tolerance" in plan.target:
+        return ""
+    return (
+        f"the target's size may differ from the stated one by {100 * TARGET_TOLERANCE:g} % "
+        "(standard deviation), which is in the intervals; after measuring it, state target: "
+        "{tolerance: ...}"
+    )
 
 
 def _geometry(found: Estimate) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from pytest_twin.calibration.observability import (
 )
 from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.parameters import State
-from pytest_twin.calibration.plan import TARGET_TOLERANCE, Plan, load_plan
+from pytest_twin.calibration.plan import Plan, load_plan
 from pytest_twin.calibration.problem import Problem, make_problem, reported_flange
 from pytest_twin.calibration.reach_hypotheses import hypotheses_in_words, reach_hypotheses
 from pytest_twin.calibration.recordings.gather import GatheredObservations, gather
@@ -41,6 +41,7 @@ from pytest_twin.calibration.records import (
     estimate,
     full_covariance,
     records,
+    size_note,
     solver_transforms,
     with_directions,
 )
@@ -313,12 +314,8 @@ def calibrate(
     document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
     if better is not None and not better.is_beyond_chance:
         document["notes"].append(better.words)
-    if TARGET_SCALE in document["records"] and "tolerance" not in plan.target:
-        document["notes"].append(
-            f"the target's size may differ from the stated one by {100 * TARGET_TOLERANCE:g} % "
-            "(standard deviation), which is in the intervals; after measuring it, state target: "
-            "{tolerance: ...}"
-        )
+    if TARGET_SCALE in document["records"] and (note := size_note(plan)):
+        document["notes"].append(note)
     document["covariance"] = full_covariance(solved.estimate)
     document["scene"] = scene(
         problem, fit.state, {"held_out": (problem, errors), "fitted": (fit.problem, fitted)}

@@ -19,6 +19,7 @@ from pytest_twin.calibration.clocks.correlation import (
 from pytest_twin.calibration.clocks.figures import angular_speeds, scene_of_streams
 from pytest_twin.calibration.clocks.offset import (
     MOST_OFFSET_SPREAD_S,
+    SCALE,
     ClockFit,
     errors_at,
     fit_clocks,
@@ -30,7 +31,12 @@ from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, describe_pose, records_of
-from pytest_twin.calibration.records import inverse_with_covariance
+from pytest_twin.calibration.records import (
+    TARGET_SCALE,
+    inverse_with_covariance,
+    scale_record,
+    size_note,
+)
 from pytest_twin.calibration.residual_errors import acceptance_failures, regions_of
 from pytest_twin.calibration.residual_patterns import pattern_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
@@ -164,9 +170,14 @@ def _solve(
     start = _start(hand, camera.rows(fitted), found.offset)
     seen = seen_in(camera, inverted=start.is_inverted)
     mine, theirs = camera.rows(fitted), camera.rows(held_out)
-    at = start.solved[start.solver]
-    fit = fit_clocks(hand, mine, seen[fitted], found.offset, at, middle, with_drift=False)
-    drifting = fit_clocks(hand, mine, seen[fitted], fit.offset, fit.solved, middle, with_drift=True)
+    at = ClockFit.without_spread(found.offset, start.solved[start.solver])
+    tolerance = plan.target_tolerance
+    fit, drifting = (
+        fit_clocks(
+            hand, mine, seen[fitted], at, middle, with_drift=with_drift, size_tolerance=tolerance
+        )
+        for with_drift in (False, True)
+    )
     if start.is_inverted:
         document["notes"].append(
             "the camera's stream was inverted: it holds poses of the camera in the target's "
@@ -185,6 +196,8 @@ def _solve(
         )
     if drift["value"] is None:
         document["notes"].append(drift["why"])
+    if note := size_note(plan):
+        document["notes"].append(note)
     document["unobservable"] = _undetermined_quantities(plan, fit)
     document["records"] = _records(plan, fit, drift, found)
     document["covariance"] = _joint_covariance(plan, fit)
@@ -195,7 +208,7 @@ def _solve(
         document["held_out"]["regions"] = _regions(hand, theirs, fit, middle, errors)
         for name, one in start.solved.items():
             if not one.failed:
-                alone = replace(fit, offset=found.offset, drift=0.0, solved=one)
+                alone = replace(fit, offset=found.offset, drift=0.0, solved=one, scale=1.0)
                 of_solver = _summary(*errors_at(hand, theirs, seen[held_out], alone, middle))
                 kept = ("translation_rms", "rotation_rms")
                 document["solvers"][name] = {k: of_solver[k] for k in kept if k in of_solver}
@@ -328,16 +341,23 @@ def _records(
         names = [n for n in records_of(role, "camera", plan.mount) if n in plan.estimate]
         for name in names or [frames[role][1]]:
             records[name] = _pose(name, fit, place, pose, frames[role], asked=bool(names))
+    if plan.target_tolerance > 0.0:
+        std = float(np.sqrt(fit.covariance[SCALE, SCALE]))
+        records[TARGET_SCALE] = scale_record(
+            fit.scale, std, float(fit.quantile[SCALE]), plan.target_tolerance
+        )
     return records
 
 
 def _joint_covariance(plan: Plan, fit: ClockFit) -> dict[str, Any]:
     """Joint covariance of the offset and both poses, with rotations about the child's axes."""
     around = _adjacent_poses(plan, fit)
-    kept = [0, *(at for place, _ in around.values() for at in range(place.start, place.stop))]
+    of_poses = [at for place, _ in around.values() for at in range(place.start, place.stop)]
+    kept = [0, *of_poses, *([SCALE] if plan.target_tolerance > 0.0 else [])]
     turn = np.eye(len(kept))
-    turn[1:7, 1:7], turn[7:, 7:] = (_about_child(pose) for _, pose in around.values())
+    turn[1:7, 1:7], turn[7:13, 7:13] = (_about_child(pose) for _, pose in around.values())
     names = [f"pose:camera.{role}.{label}" for role in around for label in _LABELS]
+    names += ["scale.camera"] * (len(kept) - 13)
     matrix = turn @ fit.covariance[np.ix_(kept, kept)] @ turn.T
     return {"of": ["time_offset", *names], "matrix": matrix.tolist()}
 

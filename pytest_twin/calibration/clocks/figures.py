@@ -76,7 +76,7 @@ def scene_of_streams(
     rows, time = spread_rows(hand, camera, fit, middle, _ARROWS)
     carried = hand.at(time)
     flange = inverse(carried) if hand.is_inverted else carried
-    error = (carried @ fit.solved.hand_eye @ inverse(seen[rows]))[:, :3, 3]
+    error = (carried @ fit.target_in_hand(seen[rows]))[:, :3, 3]
     error = error - fit.solved.robot_world[:3, 3]
     if hand.is_inverted:
         error = np.einsum("nij,nj->ni", flange[:, :3, :3], error)

@@ -32,6 +32,9 @@ BLOCKS = 20
 """Number of time segments for the covariance. Errors of neighbouring poses are correlated; those of
 segments of a second or more are nearly independent."""
 
+COUNT, SCALE = 15, 14
+"""Number of unknowns, and index of the scale of the camera's positions."""
+
 MOST_OFFSET_SPREAD_S = 0.05
 """Half width of the offset's 95 % interval above which the motion does not determine it. It
 corresponds to 25 mm at a speed of 0.5 m/s."""
@@ -46,10 +49,11 @@ class ClockFit:
             middle of the recording.
         drift: rate of the offset, s/s.
         solved: transforms of ``hand @ hand_eye = robot_world @ seen``.
-        covariance: (14, 14) of offset, drift, hand-eye and robot-world (each x, y, z, rotation
-            vector in the parent's axes); zero for a fixed drift.
-        quantile: (14,) half widths of 95 % intervals in standard deviations.
+        covariance: (15, 15) of offset, drift, hand-eye and robot-world (each x, y, z, rotation
+            vector in the parent's axes), and scale; zero for a fixed drift or scale.
+        quantile: (15,) half widths of 95 % intervals in standard deviations.
         translation, rotation: (n,) errors of the fitted poses, m and rad.
+        scale: stated size of the target divided by its real one.
     """
 
     offset: float
@@ -59,10 +63,26 @@ class ClockFit:
     quantile: FloatArray
     translation: FloatArray
     rotation: FloatArray
+    scale: float = 1.0
+
+    @classmethod
+    def without_spread(
+        cls, offset: float, solved: HandEye, drift: float = 0.0, scale: float = 1.0
+    ) -> ClockFit:
+        """Return values without a covariance, such as initial ones."""
+        nothing = np.zeros(0)
+        covariance, quantile = np.zeros((COUNT, COUNT)), np.full(COUNT, 1.96)
+        return cls(offset, drift, solved, covariance, quantile, nothing, nothing, scale)
 
     def interval(self, at: int) -> float:
         """Half width of the 95 % interval of the offset (0) or the drift (1)."""
         return float(self.quantile[at] * np.sqrt(self.covariance[at, at]))
+
+    def target_in_hand(self, seen: FloatArray) -> FloatArray:
+        """(n, 4, 4) ``hand_eye @ inverse(seen)`` with the positions of ``seen`` in true metres."""
+        metric = seen.copy()
+        metric[:, :3, 3] /= self.scale
+        return np.asarray(self.solved.hand_eye @ inverse(metric))
 
 
 def hand_times(camera: PoseStream, offset: float, drift: float, middle: float) -> FloatArray:
@@ -100,7 +120,7 @@ def errors_at(
     """
     time = hand_times(camera, fit.offset, fit.drift, middle)
     inside = (time >= hand.time[0]) & (time <= hand.time[-1])
-    poses = hand.at(time[inside]) @ fit.solved.hand_eye @ inverse(seen[inside])
+    poses = hand.at(time[inside]) @ fit.target_in_hand(seen[inside])
     world = np.broadcast_to(fit.solved.robot_world, poses.shape)
     residual, _ = difference(world, poses)
     return np.linalg.norm(residual[:, :3], axis=1), np.linalg.norm(residual[:, 3:], axis=1)
@@ -110,104 +130,191 @@ def fit_clocks(
     hand: PoseStream,
     camera: PoseStream,
     seen: FloatArray,
-    offset: float,
-    start: HandEye,
+    start: ClockFit,
     middle: float,
     *,
     with_drift: bool,
+    size_tolerance: float = 0.0,
 ) -> ClockFit:
     """Fit all poses of the camera to the hand's interpolated poses by least squares.
 
     Args:
         hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
-        offset: initial offset, s.
-        start: initial transforms.
+        start: initial offset, transforms and scale.
         middle: time of the camera's clock at which the offset holds, s.
         with_drift: whether the drift is estimated; otherwise it is 0.
+        size_tolerance: standard deviation of the target's size, relative to the stated one; above 0
+            the size is estimated.
 
     Raises:
         numpy.linalg.LinAlgError: the motion does not determine the unknowns.
     """
-    free = np.r_[0, [1] * with_drift, 2:14].astype(int)
-    at = ClockFit(
-        offset, 0.0, start, np.zeros((14, 14)), np.full(14, 1.96), np.zeros(0), np.zeros(0)
-    )
-    sizes = np.array([0.01, 0.01])
-    for _ in range(_STEPS):
-        residual, slopes = _linearize(hand, camera, seen, at, middle)
-        sizes, weight = _weights(residual)
-        scale = np.sqrt(weight)[:, None] / np.repeat(sizes, 3)
-        rows = (scale[:, :, None] * slopes)[:, :, free]
-        flat = rows.reshape(-1, len(free))
-        norm = np.linalg.norm(flat, axis=0)
-        step = np.linalg.lstsq(flat / norm, -(scale * residual).ravel(), rcond=1e-10)[0] / norm
-        move = np.zeros(14)
-        move[free] = step
-        at = _apply_step(at, move)
-        # Steps below a microsecond, a micrometre and a microradian are negligible.
-        if np.abs(move).max() < 1e-7 or is_over():
-            break
-    residual, slopes = _linearize(hand, camera, seen, at, middle)
-    sizes, weight = _weights(residual)
-    scale = np.sqrt(weight)[:, None] / np.repeat(sizes, 3)
-    rows = (scale[:, :, None] * slopes)[:, :, free]
-    gradient = np.einsum("nci,nc->ni", rows, scale * residual)
-    flat = rows.reshape(-1, len(free))
-    bread = np.linalg.inv(flat.T @ flat)
-    # Errors of neighbouring poses are correlated, so the gradient is summed over time segments.
-    blocks = np.array_split(np.arange(len(gradient)), BLOCKS)
-    sums = np.array([gradient[block].sum(axis=0) for block in blocks])
-    covariance = np.zeros((14, 14))
-    covariance[np.ix_(free, free)] = bread @ (sums.T @ sums) @ bread * BLOCKS / (BLOCKS - 1)
-    # Segments in which the hand hardly moves carry little information. The degrees of freedom of
-    # each variance follow from Satterthwaite: 19 if all segments carry the same information, 1 if
-    # one segment carries all.
-    by_row = np.einsum("ij,ncj->nci", bread, rows) ** 2
-    parts = np.array([by_row[block].sum(axis=(0, 1)) for block in blocks])
-    degrees = np.full(14, BLOCKS - 1.0)
-    degrees[free] *= parts.sum(axis=0) ** 2 / (BLOCKS * np.sum(parts**2, axis=0))
+    free = np.r_[0, [1] * with_drift, 2:14, [SCALE] * (size_tolerance > 0.0)].astype(int)
+    weight = np.zeros(COUNT)
+    if size_tolerance > 0.0:
+        weight[SCALE] = size_tolerance**-2
+    equations = _Equations(hand, camera, seen, middle, free, weight[free])
+    at = equations.minimized(start)
+    if size_tolerance > 0.0:
+        # Least squares counts neighbouring poses as independent, so the data would outweigh the
+        # stated size. The prior's weight grows as the variance of the data's part does.
+        spread = equations.spread(at)
+        row = spread.bread[-1]
+        independent, blocked = (float(row @ one @ row) for one in (spread.information, spread.meat))
+        grown = max(blocked / independent, 1.0) if independent > 0.0 else 1.0
+        equations = replace(equations, prior_weight=grown * equations.prior_weight)
+        at = equations.minimized(at)
+    spread = equations.spread(at)
+    of_data = spread.bread @ spread.meat @ spread.bread
+    of_prior = spread.bread @ np.diag(equations.prior_weight * size_tolerance) ** 2 @ spread.bread
+    covariance = np.zeros((COUNT, COUNT))
+    covariance[np.ix_(free, free)] = of_data + of_prior
+    # The variance of the prior is known, so its degrees of freedom are infinite (Satterthwaite).
+    known = 1.0 + np.diag(of_prior) / np.maximum(np.diag(of_data), 1e-300)
+    degrees = np.full(COUNT, BLOCKS - 1.0)
+    degrees[free] *= spread.evenness * known**2
     return replace(
         at,
         covariance=covariance,
         quantile=np.asarray(student.ppf(0.975, np.maximum(degrees, 1.0))),
-        translation=np.linalg.norm(residual[:, :3], axis=1),
-        rotation=np.linalg.norm(residual[:, 3:], axis=1),
+        translation=np.linalg.norm(spread.residual[:, :3], axis=1),
+        rotation=np.linalg.norm(spread.residual[:, 3:], axis=1),
     )
 
 
-def _linearize(
-    hand: PoseStream, camera: PoseStream, seen: FloatArray, at: ClockFit, middle: float
-) -> tuple[FloatArray, FloatArray]:
-    """(n, 6) residuals and (n, 6, 14) Jacobian of the poses in the hand's time range."""
-    time = hand_times(camera, at.offset, at.drift, middle)
-    inside = (time - SLOPE_S >= hand.time[0]) & (time + SLOPE_S <= hand.time[-1])
-    if inside.sum() < 2 * BLOCKS:
-        raise np.linalg.LinAlgError("the streams do not overlap")
-    time, mine = time[inside], seen[inside]
-    flange = hand.at(time)
-    around, _ = difference(hand.at(time - SLOPE_S), hand.at(time + SLOPE_S))
-    turn = hand.at(time - SLOPE_S)[:, :3, :3]
-    speed = np.concatenate(
-        [np.einsum("nij,nj->ni", turn, part) for part in (around[:, :3], around[:, 3:])], axis=1
-    ) / (2.0 * SLOPE_S)
-    eye, world = at.solved.hand_eye, at.solved.robot_world
-    carried = flange @ eye
-    back = inverse(mine)
-    # The residual compares robot_world from the hand's pose with the estimate, at the target.
-    predicted = carried @ back
-    residual, slope = difference(np.broadcast_to(world, predicted.shape), predicted)
-    by_carried = slope @ jacobian_by_first(carried, back)
-    by_flange = by_carried @ jacobian_by_first(flange, np.broadcast_to(eye, flange.shape))
-    by_time = np.einsum("nij,nj->ni", by_flange, speed)
-    by_eye = by_carried @ jacobian_by_second(flange)
-    # A change of ``world`` equals the opposite change of ``predicted``, about the base's origin.
-    to_world = -slope
-    apart = skew(predicted[:, :3, 3] - world[:3, 3])
-    to_world[:, :3, 3:] += world[:3, :3].T @ apart
-    drifted = by_time * (camera.time[inside] - middle)[:, None]
-    slopes = np.concatenate([by_time[..., None], drifted[..., None], by_eye, to_world], axis=2)
-    return residual, slopes
+@dataclass(frozen=True)
+class _Spread:
+    """Parts of the covariance of the free unknowns.
+
+    Attributes:
+        bread: inverse of the information of data and prior.
+        information: information of the data if all poses are independent.
+        meat: covariance of the data's gradient, from its sums over time segments.
+        evenness: (free,) how evenly the segments determine each unknown, 1 / BLOCKS to 1.
+        residual: (n, 6) residuals, m and rad.
+    """
+
+    bread: FloatArray
+    information: FloatArray
+    meat: FloatArray
+    evenness: FloatArray
+    residual: FloatArray
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Least-squares equations of two streams.
+
+    Attributes:
+        hand, camera: the streams.
+        seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
+        middle: time of the camera's clock at which the offset holds, s.
+        free: indices of the free unknowns.
+        prior_weight: (free,) inverse variance of each unknown's prior, 0 without one. Only the
+            scale has a prior; its mean is 1.
+    """
+
+    hand: PoseStream
+    camera: PoseStream
+    seen: FloatArray
+    middle: float
+    free: np.ndarray
+    prior_weight: FloatArray
+
+    def minimized(self, at: ClockFit) -> ClockFit:
+        """Return the fit after Gauss-Newton steps of the free unknowns."""
+        prior = np.sqrt(self.prior_weight)
+        for _ in range(_STEPS):
+            rows, residual = self._whitened(*self._linearized(at))
+            flat = np.concatenate([rows.reshape(-1, len(self.free)), np.diag(prior)])
+            right = np.concatenate([residual.ravel(), prior * (at.scale - 1.0)])
+            norm = np.linalg.norm(flat, axis=0)
+            move = np.zeros(COUNT)
+            move[self.free] = np.linalg.lstsq(flat / norm, -right, rcond=1e-10)[0] / norm
+            at = _apply_step(at, move)
+            # Steps below a microsecond, a micrometre and a microradian are negligible.
+            if np.abs(move).max() < 1e-7 or is_over():
+                break
+        return at
+
+    def spread(self, at: ClockFit) -> _Spread:
+        """Return the parts of the covariance at a fit."""
+        residual, slopes = self._linearized(at)
+        rows, whitened = self._whitened(residual, slopes)
+        gradient = np.einsum("nci,nc->ni", rows, whitened)
+        flat = rows.reshape(-1, len(self.free))
+        information = flat.T @ flat
+        bread = np.asarray(
+            np.linalg.inv(information + np.diag(self.prior_weight)), dtype=np.float64
+        )
+        # Errors of neighbouring poses are correlated, so the gradient is summed over time segments.
+        # The sum over all of them balances the prior and is no noise.
+        blocks = np.array_split(np.arange(len(gradient)), BLOCKS)
+        sums = np.array([gradient[block].sum(axis=0) for block in blocks])
+        sums -= sums.mean(axis=0)
+        # Segments in which the hand hardly moves carry little information. The degrees of freedom
+        # of each variance follow from Satterthwaite: 19 if all segments carry the same information,
+        # 1 if one segment carries all.
+        by_row = np.einsum("ij,ncj->nci", bread, rows) ** 2
+        parts = np.array([by_row[block].sum(axis=(0, 1)) for block in blocks])
+        return _Spread(
+            bread,
+            information,
+            sums.T @ sums * BLOCKS / (BLOCKS - 1),
+            parts.sum(axis=0) ** 2 / (BLOCKS * np.sum(parts**2, axis=0)),
+            residual,
+        )
+
+    def _whitened(self, residual: FloatArray, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, 6, free) derivatives and (n, 6) residuals, divided by their robust noise."""
+        sizes, weight = _weights(residual)
+        scale = np.sqrt(weight)[:, None] / np.repeat(sizes, 3)
+        return (scale[:, :, None] * slopes)[:, :, self.free], scale * residual
+
+    def _linearized(self, at: ClockFit) -> tuple[FloatArray, FloatArray]:
+        """(n, 6) residuals and (n, 6, count) Jacobian of the poses in the hand's time range."""
+        hand, camera = self.hand, self.camera
+        time = hand_times(camera, at.offset, at.drift, self.middle)
+        inside = (time - SLOPE_S >= hand.time[0]) & (time + SLOPE_S <= hand.time[-1])
+        if inside.sum() < 2 * BLOCKS:
+            raise np.linalg.LinAlgError("the streams do not overlap")
+        time, mine = time[inside], self.seen[inside]
+        flange = hand.at(time)
+        around, _ = difference(hand.at(time - SLOPE_S), hand.at(time + SLOPE_S))
+        turn = hand.at(time - SLOPE_S)[:, :3, :3]
+        speed = np.concatenate(
+            [np.einsum("nij,nj->ni", turn, part) for part in (around[:, :3], around[:, 3:])], axis=1
+        ) / (2.0 * SLOPE_S)
+        eye, world = at.solved.hand_eye, at.solved.robot_world
+        carried = flange @ eye
+        metric = mine.copy()
+        metric[:, :3, 3] /= at.scale
+        back = inverse(metric)
+        # The residual compares robot_world from the hand's pose with the estimate, at the target.
+        predicted = carried @ back
+        residual, slope = difference(np.broadcast_to(world, predicted.shape), predicted)
+        by_carried = slope @ jacobian_by_first(carried, back)
+        by_flange = by_carried @ jacobian_by_first(flange, np.broadcast_to(eye, flange.shape))
+        by_time = np.einsum("nij,nj->ni", by_flange, speed)
+        by_eye = by_carried @ jacobian_by_second(flange)
+        # A change of ``world`` equals the opposite change of ``predicted``, about the base's
+        # origin.
+        to_world = -slope
+        apart = skew(predicted[:, :3, 3] - world[:3, 3])
+        to_world[:, :3, 3:] += world[:3, :3].T @ apart
+        drifted = by_time * (camera.time[inside] - self.middle)[:, None]
+        # Positions of the residual are compared in the units of the camera: measured minus scale
+        # times predicted. Measured divided by scale would shrink with the noise of the camera.
+        ahead = np.einsum("nij,nj->ni", carried[:, :3, :3], at.scale * back[:, :3, 3])
+        by_scale = -np.einsum("nij,nj->ni", slope[:, :, :3], ahead) / at.scale
+        by_scale[:, :3] += residual[:, :3]
+        slopes = np.concatenate(
+            [by_time[..., None], drifted[..., None], by_eye, to_world, by_scale[..., None]], axis=2
+        )
+        residual[:, :3] *= at.scale
+        slopes[:, :3, :SCALE] *= at.scale
+        return residual, slopes
 
 
 def _weights(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -225,5 +332,9 @@ def _apply_step(at: ClockFit, move: FloatArray) -> ClockFit:
         apply_change(at.solved.hand_eye, move[2:8]), apply_change(at.solved.robot_world, move[8:14])
     )
     return replace(
-        at, offset=at.offset + float(move[0]), drift=at.drift + float(move[1]), solved=solved
+        at,
+        offset=at.offset + float(move[0]),
+        drift=at.drift + float(move[1]),
+        solved=solved,
+        scale=at.scale + float(move[SCALE]),
     )

@@ -44,11 +44,9 @@ def held_out_errors(plan: Plan, record: CalibrationRecord) -> tuple[FloatArray, 
     )
     if hand.is_inverted:
         mounted, world = world, mounted
-    nothing = np.zeros(0)
-    fit = ClockFit(
-        record.time_offset[0], record.clock_drift, HandEye(mounted, world), np.zeros((14, 14)),
-        np.zeros(14), nothing, nothing,
-    )  # fmt: skip
+    fit = ClockFit.without_spread(
+        record.time_offset[0], HandEye(mounted, world), record.clock_drift, record.target_scale
+    )
     middle = float(camera.time.mean())
     part = camera.rows(held)
     # The record does not state whether the camera's poses were inverted; the better one is used.

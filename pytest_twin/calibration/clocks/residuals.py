@@ -7,7 +7,6 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.clocks.offset import SLOPE_S, ClockFit, hand_times
 from pytest_twin.calibration.clocks.streams import PoseStream
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.residual_patterns import Residuals
 
 _APART_S = 1.0
@@ -29,7 +28,7 @@ def residuals_of(
     inside = np.flatnonzero((time - SLOPE_S >= hand.time[0]) & (time + SLOPE_S <= hand.time[-1]))
     _, first = np.unique(np.floor(time[inside] / _APART_S), return_index=True)
     chosen = inside[first]
-    time, back = time[chosen], fit.solved.hand_eye @ inverse(seen[chosen])
+    time, back = time[chosen], fit.target_in_hand(seen[chosen])
 
     def place(at: FloatArray) -> FloatArray:
         return np.asarray((hand.at(at) @ back)[:, :3, 3])

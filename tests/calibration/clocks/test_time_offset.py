@@ -69,6 +69,7 @@ def write_streams(
     burst=None,
     sway=0.0,
     mount="hand",
+    size_tolerance=None,
 ) -> None:
     rng = np.random.default_rng(seed)
     hand = motion(seed, slow, burst)
@@ -96,6 +97,8 @@ def write_streams(
         "hold_out": {"fraction": 0.3, "seed": 1},
         "accept": {"translation": 0.002, "rotation": 0.003},
     }
+    if size_tolerance is not None:
+        plan["target"] = {"tolerance": size_tolerance}
     (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
 
 
@@ -123,7 +126,7 @@ def test_time_offset_and_hand_eye_pose_are_estimated_with_valid_intervals(tmp_pa
     assert width == pytest.approx(2.0 * np.sqrt(together[0, 0]), rel=0.15)
     np.testing.assert_allclose(together[1:7, 1:7], record["covariance"], rtol=1e-12)
     other = found["records"]["robot_world"]["covariance"]
-    np.testing.assert_allclose(together[7:, 7:], other, rtol=1e-12)
+    np.testing.assert_allclose(together[7:13, 7:13], other, rtol=1e-12)
     assert np.linalg.eigvalsh(together).min() > 0.0
 
 
@@ -143,7 +146,7 @@ def test_errors_with_a_fixed_camera_are_computed_at_the_target(tmp_path, inverte
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
 def test_the_page_shows_errors_in_the_base_frame_and_both_streams_on_one_clock(tmp_path, mount):
-    write_streams(tmp_path, mount=mount, offset=0.5)
+    write_streams(tmp_path, mount=mount, offset=0.5, size_tolerance=0.0)
     _, found = calibrated(tmp_path)
     speeds = found["angular_speeds"]
     assert np.corrcoef(speeds["hand"], speeds["camera"])[0, 1] > 0.99
@@ -207,6 +210,52 @@ def test_intervals_of_the_time_offset_contain_the_true_value(tmp_path):
         low, high = calibrated(folder)[1]["records"]["time_offset"]["ci95"]
         inside.append(low < 0.037 < high)
     assert sum(inside) >= 3
+
+
+def scale_camera(folder: Path, factor: float) -> None:
+    """Poses of a target whose stated size is ``factor`` times the real one."""
+    found = read_stream(folder / "camera.csv.gz")
+    poses = found.poses.copy()
+    poses[:, :3, 3] *= factor
+    write_stream(folder / "camera.csv.gz", found.time, poses)
+
+
+@pytest.mark.parametrize("mount", ["hand", "world"])
+def test_intervals_contain_the_tolerance_of_the_targets_size(tmp_path, mount):
+    inside = []
+    for seed, scale in enumerate((0.997, 1.0035)):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        write_streams(folder, seed=seed, noise=1e-3, mount=mount)
+        scale_camera(folder, scale)
+        status, found = calibrated(folder)
+        assert status == 0
+        low, high = found["records"]["target_scale"]["ci95"]
+        names = {"hand": ("hand_eye", "robot_world"), "world": ("target", "hand_eye")}[mount]
+        for name, truth in zip(names, (HAND_EYE, TARGET), strict=True):
+            record = found["records"][name]
+            inside += [
+                record["ci95"][axis][0] < truth[at, 3] < record["ci95"][axis][1]
+                for at, axis in enumerate("xyz")
+            ]
+        assert low < scale < high
+        assert any("differ from the stated one by 0.2 %" in note for note in found["notes"])
+    assert np.mean(inside) >= 0.85
+
+
+def test_streams_of_a_target_of_stated_size_have_no_record_of_it(tmp_path):
+    write_streams(tmp_path, size_tolerance=0.0)
+    found = calibrated(tmp_path)[1]
+    assert "target_scale" not in found["records"]
+    assert not any("stated one" in note for note in found["notes"])
+
+
+def test_streams_of_a_target_printed_too_small_are_rejected_with_the_factor(tmp_path):
+    write_streams(tmp_path, noise=1e-3)
+    scale_camera(tmp_path, 1.0 / 0.97)
+    status, found = calibrated(tmp_path)
+    assert (status, found["verdict"]) == (1, "rejected")
+    assert found["suspected"][0]["factor"] == pytest.approx(0.97, abs=0.005)
 
 
 def test_a_drift_of_the_clocks_is_estimated_and_noted(tmp_path):
