@@ -247,7 +247,7 @@ def diagnose_files(
         The verdict and the lines to print.
     """
     from pytest_twin.commands.replay import load_model
-    from pytest_twin.diagnosis.budget import Budget
+    from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
     from pytest_twin.diagnosis.first_answer import FIRST_SECONDS, first_answer
     from pytest_twin.diagnosis.roles import roles_of
     from pytest_twin.diagnosis.run import Run
@@ -280,12 +280,15 @@ def diagnose_files(
         left = f"; at most {budget.left:.0f} s left" if seconds else ""
         tell("state", f"{step.stage}; best so far: {best}{left}")
 
+    run = Run(budget, Trace(say_state))
     if asked.answer_first:
-        bound = min(FIRST_SECONDS, 0.2 * seconds) if seconds else FIRST_SECONDS
+        share = (1.0 - RESERVED_SHARE) * seconds
+        bound = min(FIRST_SECONDS, share) if seconds else FIRST_SECONDS
         with suppress_mujoco_warnings():
             seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
         words = f"none within {bound:g} s" if seen is None else quick_diagnosis_in_words(seen)
         tell("line", f"first answer, from one recording: {words}")
+        run.first_answer = () if seen is None else seen.likely_effects
     summary = write_diagnosis(
         Path(asked.out),
         loaded.realization,
@@ -293,7 +296,7 @@ def diagnose_files(
         model=Path(asked.model).name,
         threads=asked.threads,
         progress=progress,
-        run=Run(budget, Trace(say_state)),
+        run=run,
         record_folder=Path(asked.folder or asked.out),
     )
     located = loaded.realization.source.located

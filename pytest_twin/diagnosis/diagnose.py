@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
 from pytest_twin.diagnosis.conclusion import ChosenModel, evaluate_on_test, fit_final_parameters
 from pytest_twin.diagnosis.cost import Cost, measure_cost
 from pytest_twin.diagnosis.findings import Explanation, finding_json
+from pytest_twin.diagnosis.first_answer import keep_first_answer
 from pytest_twin.diagnosis.friction_constraint import (
     FRICTION_CREEP_NOTE,
     build_problem_with_better_constraint,
@@ -293,6 +294,7 @@ def find_structure(
     setup, prepared, trials = adopt_simulation_step(setup, prepared, trials, run)
     with run.budget.searching(COMPARISON_SHARE):
         searches = search_recordings(setup, prepared, trials, run)
+    searches = replace(searches, found=keep_first_answer(searches.found, run))
     setup, notes = searches.setup, [*notes, *searches.notes]
     progress(0.82)
     with run.budget.searching():

@@ -23,6 +23,7 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 )
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.sensitivities import sensitivities
+from pytest_twin.diagnosis.likely_effect import LikelyEffect, Place
 from pytest_twin.diagnosis.locate import (
     MissingForce,
     TimeAndRegime,
@@ -31,7 +32,7 @@ from pytest_twin.diagnosis.locate import (
     smooth_motions,
 )
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.patched.model import PatchedModel
+from pytest_twin.diagnosis.patched.model import PatchedModel, applied_effects
 from pytest_twin.diagnosis.patched.replay import replay_whole
 from pytest_twin.diagnosis.prepare import NOISE, PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
@@ -39,6 +40,7 @@ from pytest_twin.diagnosis.quick_settings import QUICK
 from pytest_twin.diagnosis.smoothing import smooth_state
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.errors import SimulationError
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel, fit
 from pytest_twin.estimation.score import effective_samples, log_likelihood
@@ -48,31 +50,6 @@ from pytest_twin.trial import Trial
 
 Starts = dict[Term, FloatArray]
 """Terms that are fitted together -> start values of their parameters."""
-
-
-Place = tuple[str, tuple[str, ...]]
-"""An effect and the names of its joints; no joints for an effect of the robot."""
-
-
-@dataclass(frozen=True, slots=True)
-class LikelyEffect:
-    """The most likely effect.
-
-    Attributes:
-        place: the effect and its joints.
-        values: reported name of a parameter -> (value, unit), at the first joint.
-        posterior_share: posterior share among the fitted candidates, 0 to 1.
-        removed_share: share of the squared error of the examined part that it removes.
-        alternatives: other effects that explain the recording about as well, best first.
-        explained_joints: joints whose errors it was fitted to explain; empty for all joints.
-    """
-
-    place: Place
-    values: dict[str, tuple[float, str]]
-    posterior_share: float
-    removed_share: float
-    alternatives: tuple[Place, ...] = ()
-    explained_joints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +91,7 @@ def quick_diagnosis(
         RecordingError: the model and the recording share no joint.
         SimulationError: the model diverges.
         SpecError: a controller, payload or actuator that the model lacks.
+        OutOfTime: the time is over before any effect was found.
     """
     examined, start = _worst_part(realization, trial, patched, failed)
     whole = _prepare(realization, [examined], [], patched)
@@ -144,7 +122,12 @@ def quick_diagnosis(
             before,
             must_explain if not likely_effects else left,
         )
-        found = search.find_likely_effect(force, size)
+        try:
+            found = search.find_likely_effect(force, size)
+        except OutOfTime:
+            if not likely_effects:
+                raise
+            break
         if found is None:
             break
         likely, after = found
@@ -359,16 +342,22 @@ class _EffectSearch:
             posterior_share >= 1.0 - QUICK.most_confidence
         )
         order = np.argsort(-evidence, kind="stable")
-        alternatives = dict.fromkeys(places[i] for i in order if close[i] and other[i])
+        close_alternatives = dict.fromkeys(places[i] for i in order if close[i] and other[i])
+        alternatives = tuple(close_alternatives)[: QUICK.most_alternatives]
         effect = LikelyEffect(
             place=place,
             values=_reported_values(problem, fitted[best].hypothesis),
             posterior_share=min(float(posterior_share[same].sum()), QUICK.most_confidence),
             removed_share=float(removed_share),
-            alternatives=tuple(alternatives)[: QUICK.most_alternatives],
+            alternatives=alternatives,
             explained_joints=()
             if must_explain.all()
             else tuple(np.array(problem.joints)[must_explain].tolist()),
+            alternative_shares=tuple(
+                sum(float(s) for s, p in zip(posterior_share, places, strict=True) if p == place)
+                for place in alternatives
+            ),
+            fitted=applied_effects(fitted[best].hypothesis, problem.joints, problem.scales),
         )
         return effect, after[best]
 

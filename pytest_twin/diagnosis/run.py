@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
+from pytest_twin.diagnosis.likely_effect import LikelyEffect
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trace import Decision, Step, Trace, effect_names
 from pytest_twin.estimation.deadline import OutOfTime
@@ -34,12 +35,14 @@ class Run:
         trace: every step of the searches.
         skipped_searches: searches that were skipped because time or simulations ran out, one line
             each.
+        first_answer: effects of the quick diagnosis that preceded the search.
     """
 
     def __init__(self, budget: Budget | None = None, trace: Trace | None = None) -> None:
         self.budget = Budget() if budget is None else budget
         self.trace = Trace() if trace is None else trace
         self.skipped_searches: list[str] = []
+        self.first_answer: Sequence[LikelyEffect] = ()
 
     @property
     def is_over(self) -> bool:

@@ -10,7 +10,8 @@ from pytest_twin.report.text import printable, quantity
 from pytest_twin.words import join_words
 
 if TYPE_CHECKING:
-    from pytest_twin.diagnosis.quick_diagnosis import LikelyEffect, Place, QuickDiagnosis
+    from pytest_twin.diagnosis.likely_effect import LikelyEffect, Place
+    from pytest_twin.diagnosis.quick_diagnosis import QuickDiagnosis
 
 _MOST_PARAMETERS = 2
 """Largest number of parameters in the line."""

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from two_pendulums import DAMPING, MASS, mjcf, record
 
-from pytest_twin.diagnosis.quick_diagnosis import LikelyEffect, quick_diagnosis
+from pytest_twin.diagnosis.likely_effect import LikelyEffect
+from pytest_twin.diagnosis.quick_diagnosis import quick_diagnosis
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.realization import Realization, load
 from pytest_twin.trial import Trial, make_trial

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from pytest_twin.diagnosis.likely_effect import LikelyEffect
 from pytest_twin.diagnosis.locate import TimeAndRegime
-from pytest_twin.diagnosis.quick_diagnosis import LikelyEffect, QuickDiagnosis
+from pytest_twin.diagnosis.quick_diagnosis import QuickDiagnosis
 from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
 
 WHERE = TimeAndRegime(

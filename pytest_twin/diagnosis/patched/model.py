@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.unnamed_law import TABLES
 from pytest_twin.errors import SpecError
+from pytest_twin.estimation.hypothesis import Hypothesis, Scales
 from pytest_twin.realization import Realization
 
 MODEL_FILE = "model.xml"
@@ -66,6 +67,32 @@ class PatchedModel:
     def outside_mjcf(self) -> tuple[AppliedEffect, ...]:
         """Effects that are not in the MJCF."""
         return tuple(e for e in self.effects if not e.is_in_mjcf)
+
+
+def applied_effects(
+    hypothesis: Hypothesis, joints: Sequence[str], scales: Scales
+) -> tuple[AppliedEffect, ...]:
+    """The terms of a hypothesis as effects with joint names and SI values.
+
+    Args:
+        hypothesis: the terms with their parameters.
+        joints: names of the joints, in the order of the problem's columns.
+        scales: reference scales of the problem.
+    """
+    return tuple(
+        AppliedEffect(
+            term.effect,
+            None if term.joint < 0 else joints[term.joint],
+            {
+                p.name: float(value * scales.value(p, term.joint))
+                for p, value in zip(
+                    term.parameters, hypothesis.theta[hypothesis.slice_of(term)], strict=True
+                )
+            },
+            is_in_mjcf=False,
+        )
+        for term in hypothesis.terms
+    )
 
 
 def read_patched_model(realization: Realization) -> PatchedModel | None:

@@ -10,7 +10,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.intervals import parameter_uncertainty
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.patched.model import AppliedEffect
+from pytest_twin.diagnosis.patched.model import applied_effects
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trials import TrialSet
@@ -102,7 +102,10 @@ class StagedFit:
 
     def _stage(self, name: StageName, frozen: Hypothesis) -> tuple[Stage, Hypothesis]:
         """Fit one stage with the frozen terms of other stages; return its accepted terms."""
-        outside_mjcf = (*self.setup.outside_mjcf, *applied_effects(self._problem, frozen))
+        outside_mjcf = (
+            *self.setup.outside_mjcf,
+            *applied_effects(frozen, self._problem.joints, self._problem.scales),
+        )
         problem = (
             replace(self.setup, outside_mjcf=outside_mjcf)
             .prepare(
@@ -257,17 +260,3 @@ class StagedFit:
 def place_of(problem: Problem, term: Term) -> str:
     """Name of the joint that a term acts at, or ``robot``."""
     return "robot" if term.joint < 0 else problem.joints[term.joint]
-
-
-def applied_effects(problem: Problem, hypothesis: Hypothesis) -> tuple[AppliedEffect, ...]:
-    """The terms of a hypothesis as effects with SI values."""
-    found = []
-    for term in hypothesis.terms:
-        theta = hypothesis.theta[hypothesis.slice_of(term)]
-        values = {
-            p.name: float(t * problem.scales.value(p, term.joint))
-            for p, t in zip(term.parameters, theta, strict=True)
-        }
-        joint = None if term.joint < 0 else problem.joints[term.joint]
-        found.append(AppliedEffect(term.effect, joint, values, is_in_mjcf=False))
-    return tuple(found)
