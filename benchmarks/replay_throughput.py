@@ -23,9 +23,9 @@ import mujoco.rollout
 import numpy as np
 
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.realization import load
 from pytest_twin.realization.inputs import command_input
-from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import load_twin
 

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.open_loop import Replayed, Row, Run
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
-from pytest_twin.replay import Replayed, Row, Run
 
 Force = Callable[[float, FloatArray, FloatArray], FloatArray]
 """(time in s, positions, velocities) -> force on each joint, N*m or N.
@@ -23,7 +23,7 @@ _SPEED = 1e6
 def replay_forced(
     row: Row, force: Force, *, kick: tuple[float, FloatArray] | None = None
 ) -> Replayed:
-    """Replay a trial, as :func:`pytest_twin.replay.replay_rows` does, with an added force.
+    """Replay a trial, as :func:`pytest_twin.open_loop.replay_rows` does, with an added force.
 
     The steps are those of ``mj_step``; the force is called before each.
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from pytest_twin.open_loop import Replayed, replay
 from pytest_twin.realization import Realization
-from pytest_twin.replay import Replayed, replay
 from pytest_twin.trial import Trial
 from pytest_twin.words import list_names
 

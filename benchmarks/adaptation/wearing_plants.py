@@ -30,8 +30,8 @@ from pytest_twin.adaptation.recursive import Recursion, base_parameters, track
 from pytest_twin.adaptation_spec import UpdateSpec
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import JointSeries
+from pytest_twin.open_loop import row_of
 from pytest_twin.realization import load
-from pytest_twin.replay import row_of
 from pytest_twin.trial import make_trials
 from pytest_twin.trial.read import recording_at
 from pytest_twin.twin import DEFAULT_TOPICS

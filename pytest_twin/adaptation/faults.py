@@ -12,7 +12,7 @@ from pytest_twin.adaptation.guard import Guard, Sample
 from pytest_twin.adaptation.guarded_simulation import Distort, Log, simulate
 from pytest_twin.adaptation_spec import ResidualSpec
 from pytest_twin.arrays import FloatArray
-from pytest_twin.replay import Row
+from pytest_twin.open_loop import Row
 
 _WINDOW_HOLD_OFFS = 4.0
 """Duration of a fault in multiples of the hold-off time, so that fallback and hold-off are both

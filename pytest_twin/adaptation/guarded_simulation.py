@@ -9,8 +9,8 @@ import numpy as np
 
 from pytest_twin.adaptation.guard import Guard, Sample
 from pytest_twin.arrays import FloatArray
+from pytest_twin.open_loop import Replayed, Row
 from pytest_twin.realization.encoders import Encoders
-from pytest_twin.replay import Replayed, Row
 from pytest_twin.replay_forced import replay_forced
 
 Distort = Callable[[float, Sample, Guard], Sample | None]

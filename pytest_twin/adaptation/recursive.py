@@ -18,9 +18,9 @@ import numpy as np
 from pytest_twin.adaptation_spec import UpdateSpec
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SpecError
+from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
 from pytest_twin.realization.patch import suggest
-from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import Trial
 
 _FIELDS = {

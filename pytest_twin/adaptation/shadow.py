@@ -25,8 +25,8 @@ from pytest_twin.diagnosis.patched.replay import replay_whole
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Quantity, si_unit
 from pytest_twin.errors import SpecError
+from pytest_twin.open_loop import Replayed, replay, row_of
 from pytest_twin.realization import Realization, load
-from pytest_twin.replay import Replayed, replay, row_of
 from pytest_twin.trial import Trial, make_trials
 from pytest_twin.trial.read import recordings_at
 from pytest_twin.trial.roles import refuse_final

@@ -20,8 +20,8 @@ from pytest_twin.adaptation_spec import ShadowPolicy, UpdateSpec
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.errors import RecordingError, SpecError
+from pytest_twin.open_loop import Row, replay_rows, row_of
 from pytest_twin.realization import Realization
-from pytest_twin.replay import Row, replay_rows, row_of
 from pytest_twin.trial import Trial
 
 _FIRST_FAULT, _FAULT_WINDOWS = 4, 3

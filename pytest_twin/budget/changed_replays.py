@@ -14,8 +14,8 @@ from pytest_twin.budget.effect_parameters import EffectParameter, with_values
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.replay import patched_segment, predict_segments, replay_whole
 from pytest_twin.errors import SimulationError
+from pytest_twin.open_loop import Replayed, row_of
 from pytest_twin.realization import Realization
-from pytest_twin.replay import Replayed, row_of
 from pytest_twin.replay_forced import replay_forced
 from pytest_twin.trial import Trial
 

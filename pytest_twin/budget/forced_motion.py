@@ -25,9 +25,9 @@ from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, 
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
+from pytest_twin.open_loop import Replayed
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.replay import Replayed
 from pytest_twin.trial import Trial
 
 DRAWS = 64

@@ -13,8 +13,8 @@ from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
     from pytest_twin.formats.sensor_messages import StampedMessage
+    from pytest_twin.open_loop import Replayed
     from pytest_twin.realization import Realization
-    from pytest_twin.replay import Replayed
 
 _WORLD = ("", "world")
 _FEWEST = 2
@@ -40,7 +40,7 @@ def measured_and_predicted(
             is not on the tool's chain.
         TwinError: the recording cannot contain poses.
     """
-    from pytest_twin import replay
+    from pytest_twin import open_loop
 
     topic, path = golden.target["tcp_topic"], results[0].trial.path
     poses = _poses(golden, results)
@@ -62,9 +62,9 @@ def measured_and_predicted(
         qpos = np.column_stack([
             np.interp(when[inside], trial.time, column) for column in result.qpos.T
         ])  # fmt: skip
-        found = replay.frame_poses(realization, qpos, golden.target["tcp"])
+        found = open_loop.frame_poses(realization, qpos, golden.target["tcp"])
         if parent not in _WORLD:
-            found = _relative_poses(replay.frame_poses(realization, qpos, parent), found)
+            found = _relative_poses(open_loop.frame_poses(realization, qpos, parent), found)
         values = np.array([poses[k].values for k in inside])
         times.append(trial.offset + when[inside])
         predicted.append(found)

@@ -40,8 +40,8 @@ from pytest_twin.golden import Golden
 from pytest_twin.metrics.residual import Residual, residual, rotation_angle
 
 if TYPE_CHECKING:
+    from pytest_twin.open_loop import Replayed
     from pytest_twin.realization import Realization
-    from pytest_twin.replay import Replayed
     from pytest_twin.trial import Trial
 
 _RESPONSE_BOUNDS = {name: name for name in RESPONSES}
@@ -214,7 +214,7 @@ class Replay(Check):
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Read the recording and replay it."""
-        from pytest_twin import replay
+        from pytest_twin import open_loop
 
         trials = self.trials(golden, realization)
         first = trials[0]
@@ -255,9 +255,11 @@ class Replay(Check):
                     frame, *measured_and_predicted(golden, realization, results)
                 )
             else:
-                predicted = [replay.frame_poses(realization, r.qpos, frame) for r in results]
+                predicted = [open_loop.frame_poses(realization, r.qpos, frame) for r in results]
                 measured = [
-                    replay.frame_poses(realization, replay.measured_qpos(realization, r), frame)
+                    open_loop.frame_poses(
+                        realization, open_loop.measured_qpos(realization, r), frame
+                    )
                     for r in results
                 ]
                 values["tcp"] = _of_tcp(
@@ -336,7 +338,7 @@ def _replay(realization: Realization, trial: Trial, progress: Progress) -> Repla
     """Replay a trial, with effects that a diagnosis steps together with the model."""
     from pytest_twin.diagnosis.patched.model import read_patched_model
     from pytest_twin.diagnosis.patched.replay import replay_whole
-    from pytest_twin.replay import replay
+    from pytest_twin.open_loop import replay
 
     patched = read_patched_model(realization)
     if patched is None:

@@ -15,8 +15,8 @@ from pytest_twin.formats.recording import JointSeries
 from pytest_twin.golden import Golden
 
 if TYPE_CHECKING:
+    from pytest_twin.open_loop import Replayed
     from pytest_twin.realization import Realization
-    from pytest_twin.replay import Replayed
 
 _BY_UNIT: Mapping[str, str] = {
     "N": "force_rms",

@@ -18,7 +18,7 @@ from pytest_twin.metrics.recorded_frequency import (
 from pytest_twin.metrics.residual import residual
 
 if TYPE_CHECKING:
-    from pytest_twin.replay import Replayed
+    from pytest_twin.open_loop import Replayed
 
 RESPONSES: Mapping[str, tuple[str, str]] = {
     "magnitude": ("frequency", "magnitude"),

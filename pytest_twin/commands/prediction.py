@@ -16,8 +16,8 @@ from pytest_twin.trial import Trial, predicted_rows
 if TYPE_CHECKING:
     from pytest_twin.diagnosis.patched.model import PatchedModel
     from pytest_twin.effects.segment import Predicted
+    from pytest_twin.open_loop import Replayed
     from pytest_twin.realization import Realization
-    from pytest_twin.replay import Replayed
 
 
 def predict(
@@ -38,7 +38,7 @@ def predict(
         SimulationError: a simulation diverged.
     """
     from pytest_twin.diagnosis.patched.replay import describe_effects_outside_mjcf, replay_patched
-    from pytest_twin.replay import replay
+    from pytest_twin.open_loop import replay
 
     if patched is None:
         results = replay(realization, trials, progress=progress)

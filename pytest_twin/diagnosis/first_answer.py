@@ -22,8 +22,8 @@ from pytest_twin.diagnosis.structure_search.settings import SETTINGS
 from pytest_twin.errors import TwinError
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization
-from pytest_twin.replay import replay
 from pytest_twin.trial import Trial
 
 FIRST_SECONDS = 10.0

@@ -44,8 +44,8 @@ from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel, fit
 from pytest_twin.estimation.score import effective_samples, log_likelihood
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization
-from pytest_twin.replay import replay
 from pytest_twin.trial import Trial
 
 Starts = dict[Term, FloatArray]

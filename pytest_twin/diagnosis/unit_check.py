@@ -16,8 +16,8 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.trial_settings import UNIT_CHECK
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.errors import RecordingError, SpecError
+from pytest_twin.open_loop import Replayed, replay
 from pytest_twin.realization import Realization
-from pytest_twin.replay import Replayed, replay
 from pytest_twin.trial import Trial
 
 # Smallest number of hinges that move far, by command mode. A single wheel under a servo may turn

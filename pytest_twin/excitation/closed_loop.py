@@ -14,11 +14,11 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.motion import Motion
+from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.realization.first_state import follow_joint_equalities
 from pytest_twin.realization.inputs import LINEAR_GAINS, command_input, joint_inputs
 from pytest_twin.realization.model import Realization
 from pytest_twin.recording_options import CommandMode
-from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import Trial
 
 WORSE = 1.2

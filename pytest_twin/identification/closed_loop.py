@@ -297,7 +297,7 @@ def _positions(
     realization: Realization, trials: Sequence[Trial]
 ) -> list[tuple[tuple[str, ...], FloatArray]]:
     """Return the joints of each trial and their simulated positions, with all effects."""
-    from pytest_twin.replay import replay
+    from pytest_twin.open_loop import replay
 
     patched = read_patched_model(realization)
     if patched is not None:

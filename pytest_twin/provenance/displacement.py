@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.open_loop import frame_poses
 from pytest_twin.provenance.poses import Poses
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders
-from pytest_twin.replay import frame_poses
 from pytest_twin.twin import JointCalibration
 
 

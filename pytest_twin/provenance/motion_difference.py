@@ -11,8 +11,8 @@ from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.recording import Recording
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization
-from pytest_twin.replay import replay
 from pytest_twin.trial import Trial, make_trials
 
 

@@ -16,8 +16,8 @@ from pytest_twin.adaptation.recursive import Recursion, base_parameters, track
 from pytest_twin.adaptation.update_trial import try_update
 from pytest_twin.adaptation_spec import ShadowPolicy, UpdateSpec
 from pytest_twin.errors import SpecError
+from pytest_twin.open_loop import row_of
 from pytest_twin.realization import load
-from pytest_twin.replay import row_of
 from pytest_twin.trial import make_trials
 from pytest_twin.trial.read import recording_at
 

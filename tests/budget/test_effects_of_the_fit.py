@@ -21,8 +21,8 @@ from pytest_twin.budget.effect_parameters import effect_parameter, with_values
 from pytest_twin.budget.run import budget_of_file
 from pytest_twin.commands.prediction import predict
 from pytest_twin.diagnosis.patched.model import read_patched_model
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization, load
-from pytest_twin.replay import replay
 from pytest_twin.trial import Trial, make_trials
 from pytest_twin.trial.read import recordings_at
 from pytest_twin.twin import load_twin

@@ -18,9 +18,9 @@ from pytest_twin.effects.memory_warmup import WARM_UP_TIME
 from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.formats.recording import JointSeries
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import RecordingOptions
-from pytest_twin.replay import replay
 from pytest_twin.trial import make_trial
 
 MODEL = """\

@@ -17,8 +17,8 @@ from pytest_twin.diagnosis.windows import segments_of
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 from pytest_twin.formats.mcap import JointSeries, Recording, read_recording
+from pytest_twin.open_loop import Row, replay, replay_rows
 from pytest_twin.realization import load
-from pytest_twin.replay import Row, replay, replay_rows
 from pytest_twin.trial import CommandMode, Trial, make_trial
 
 RECORDINGS = Path(

@@ -12,8 +12,8 @@ from replay_trials import ARM, model, recording, series, slider
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Segment
 from pytest_twin.errors import RecordingError
+from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.recording_options import CommandBetween, RecordingOptions
-from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.trial.setpoint import setpoint
 

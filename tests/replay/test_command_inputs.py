@@ -7,8 +7,8 @@ import pytest
 from replay_trials import model, slider, trial
 
 from pytest_twin.errors import SpecError
+from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.realization.inputs import command_input
-from pytest_twin.replay import Row, replay_rows
 
 POSITION_SERVOS = {
     "position": '<position joint="x" kp="300" kv="60"/>',

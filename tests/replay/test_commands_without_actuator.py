@@ -9,9 +9,9 @@ import pytest
 from replay_trials import recording, series
 
 from pytest_twin.errors import SpecError
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import RecordingOptions
-from pytest_twin.replay import replay
 from pytest_twin.trial import Trial, make_trial
 
 GRIPPER = """

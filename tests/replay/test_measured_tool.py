@@ -15,8 +15,8 @@ from replay_trials import ARM, series
 
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import read_recording, write_recording
+from pytest_twin.open_loop import frame_poses, replay
 from pytest_twin.realization import load
-from pytest_twin.replay import frame_poses, replay
 from pytest_twin.trial import make_trial
 from pytest_twin.twin import load_twin
 

@@ -18,8 +18,8 @@ from pytest_twin.checks.base import Observation
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.gate.specs import load_golden
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import load
-from pytest_twin.replay import replay
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import load_twin
 

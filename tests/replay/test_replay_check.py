@@ -15,9 +15,9 @@ from pytest_twin.errors import PathError, RecordingError, SpecError, TwinError
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.gate.specs import load_golden
 from pytest_twin.metrics.residual import residual, rotation_angle
+from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.outcome import Measure
 from pytest_twin.realization import load
-from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import make_trial
 from pytest_twin.twin import load_twin
 

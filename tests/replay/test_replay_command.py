@@ -12,8 +12,8 @@ from replay_trials import ARM, series
 
 from pytest_twin import cli
 from pytest_twin.formats.mcap import read_recording, write_recording
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import load
-from pytest_twin.replay import replay
 from pytest_twin.trial import make_trial
 from pytest_twin.twin import load_twin
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from replay_trials import ARM, model, slider, trial
 
-from pytest_twin.replay import Row, replay_rows
+from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.trial import Trial
 from pytest_twin.twin import JointCalibration
 

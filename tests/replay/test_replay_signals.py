@@ -15,8 +15,8 @@ from pytest_twin import cli
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.formats.schema import load_schema
+from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.realization import load
-from pytest_twin.replay import Row, replay_rows
 from pytest_twin.trial import make_trial
 from pytest_twin.twin import load_twin
 

@@ -10,8 +10,8 @@ from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.errors import TwinError
 from pytest_twin.metrics.joint_frequency import joint_responses
+from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization
-from pytest_twin.replay import replay
 from pytest_twin.trial import Trial
 
 

@@ -20,9 +20,9 @@ from pytest_twin.effects.active_effects import EffectValues
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.errors import RecordingError, SimulationError
+from pytest_twin.open_loop import Replayed, replay
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.replay import Replayed, replay
 from pytest_twin.trial import Trial
 
 Progress = Callable[[float], None]
