@@ -176,6 +176,7 @@ def diagnose(
     threads: int = 0,
     run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
+    find: Callable[..., ChosenModel] | None = None,
 ) -> Diagnosis:
     """Diagnose a model: locate errors, identify effects, fit them, and test them.
 
@@ -188,6 +189,8 @@ def diagnose(
         threads: threads of batch simulations, 0 for all cores.
         run: the limits of time and simulations, and the trace; without limits by default.
         progress: called with the fraction done, 0 to 1.
+        find: the search for effects, with the arguments of :func:`find_structure`, which is the
+            default.
 
     Raises:
         RecordingError: model and recordings share no joint, or angles are not in rad.
@@ -210,7 +213,7 @@ def diagnose(
         segments_of(realization, trial, i, joints, Cutting(commanded=True))
     # Simulations of candidates may diverge and overflow; such candidates are ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
-        structure = find_structure(
+        structure = (find or find_structure)(
             realization, roles.of_search,
             inherited=inherited, threads=threads, run=run, progress=progress,
             possible=() if undetermined is None else undetermined.possible,

@@ -209,7 +209,7 @@ def conclude(
                 note,
                 best=ScoredHypothesis(pruned.fitted.hypothesis),
             )
-        return _build_result(prepared, trials, selected, pruned)
+        return build_result(prepared, trials, selected, pruned)
 
 
 def _weigh_untested(run: Run, selected: SelectedModel) -> None:
@@ -269,7 +269,7 @@ def refit_whole_motions(found: SearchResult, other: SearchResult) -> SearchResul
         sets=named.sets, nearby_models=named.nearby_models,
         candidate_count=comparison.candidate_count,
     )  # fmt: skip
-    return _build_result(
+    return build_result(
         found.prepared,
         found.trials,
         selected,
@@ -316,7 +316,7 @@ def refit_with_full_drive(
             named.alternatives[term] = other.selected.alternatives.get(term, [])
             if term in other.selected.sets:
                 named.sets[term] = other.selected.sets[term]
-    return _build_result(found.prepared, found.trials, named, pruned, laplace_log_likelihood)
+    return build_result(found.prepared, found.trials, named, pruned, laplace_log_likelihood)
 
 
 def _fit_by_evolution(
@@ -327,13 +327,14 @@ def _fit_by_evolution(
     return fit_by_evolution(problem, starts, comparison.weights(comparison.nominal), steps)
 
 
-def _build_result(
+def build_result(
     prepared: PreparedProblem,
     trials: TrialSet,
     selected: SelectedModel,
     pruned: PrunedModel,
     likelihood: Likelihood = log_likelihood,
 ) -> SearchResult:
+    """The result of the effects that pruning keeps: findings, residuals, errors and verdict."""
     problem = prepared.problem
     explanation = build_explanation(prepared, selected, pruned, (*trials.fit, *trials.held_out))
     before, after = (residuals_everywhere(problem, h) for h in (EMPTY, explanation.hypothesis))

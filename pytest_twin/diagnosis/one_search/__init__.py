@@ -1,0 +1,1 @@
+"""The search of a diagnosis: one incumbent, one pool of simulated models, one acceptance test."""

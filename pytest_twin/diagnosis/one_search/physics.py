@@ -1,0 +1,284 @@
+"""What a search asks of a robot and its recordings: the seam between the search and simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.common_effects import replace_robot_effects, set_size
+from pytest_twin.diagnosis.first_order.beam_search import (
+    CandidateSensitivities,
+    ResidualView,
+    candidates,
+)
+from pytest_twin.diagnosis.first_order.bins import Bins, bins
+from pytest_twin.diagnosis.first_order.sensitivities import Linearization, starts_in_first_form
+from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.recorded_range import RecordedRange
+from pytest_twin.diagnosis.refusal import refused_effects
+from pytest_twin.diagnosis.search.linearized_view import (
+    LinearizedView,
+    linearize_around,
+    simulate_around,
+)
+from pytest_twin.diagnosis.search.proposed_starts import starts_at
+from pytest_twin.diagnosis.search.scored_model import ScoredModel
+from pytest_twin.diagnosis.search.simplification import (
+    equal_sized_forms,
+    merge_joints,
+    merge_terms,
+    simpler_forms,
+    special_cases,
+    split_terms,
+)
+from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.comparison import Size
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
+from pytest_twin.estimation.least_squares import FittedModel, fit
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """The motion linearized around a model.
+
+    Attributes:
+        linear: the linearization; None where candidates were simulated instead.
+        bins: bins of the samples.
+        residual: residual and Jacobian of the model in bins.
+        sensitivities: of the prediction to all candidates that the model lacks.
+    """
+
+    linear: Linearization | None
+    bins: Bins
+    residual: ResidualView
+    sensitivities: CandidateSensitivities
+
+
+class Physics(Protocol):
+    """A robot with its recordings, as the search sees it."""
+
+    @property
+    def joints(self) -> Sequence[str]:
+        """Names of the joints."""
+
+    @property
+    def candidates(self) -> Sequence[Term]:
+        """Effects at joints that may be added."""
+
+    @property
+    def floor(self) -> FloatArray:
+        """(signals,) noise floor."""
+
+    @property
+    def lengths(self) -> Sequence[int]:
+        """Number of samples of each segment."""
+
+    @property
+    def recordings(self) -> Sequence[int]:
+        """Recording of each segment."""
+
+    def simulate(
+        self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis
+    ) -> list[FloatArray]:
+        """(samples, signals) residual of each hypothesis.
+
+        Args:
+            hypotheses: the hypotheses.
+            corrected_at: hypothesis at which the corrections of their predictions are measured.
+        """
+
+    def simulate_recording(
+        self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis, recording: int
+    ) -> list[FloatArray]:
+        """As :meth:`simulate`, on one recording."""
+
+    def fit(
+        self, hypothesis: Hypothesis, residual: FloatArray, iterations: int
+    ) -> tuple[Hypothesis, FloatArray, FloatArray]:
+        """A hypothesis fitted by simulation, with its residual and Jacobian.
+
+        Args:
+            hypothesis: with the start of its parameters.
+            residual: (samples, signals) its residual, from which the weights follow.
+            iterations: largest number of steps.
+        """
+
+    def linearize(self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray) -> View:
+        """The motion linearized around a fitted hypothesis."""
+
+    def view_by_simulation(
+        self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray, closest: int
+    ) -> View:
+        """As :meth:`linearize`, with candidates that are simulated at one size.
+
+        Args:
+            hypothesis, residual, jacobian: the fitted hypothesis.
+            closest: number of candidates that are simulated at all sizes.
+        """
+
+    def size(self, hypothesis: Hypothesis) -> Size:
+        """Number of effects and parameters; an effect that is common to all joints counts once."""
+
+    def rewrites(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """The same physics in other words."""
+
+    def sensor_effects(self, hypothesis: Hypothesis, mean_square: FloatArray) -> list[Hypothesis]:
+        """The hypothesis with an effect of one effort sensor whose residual is large."""
+
+    def starts(
+        self, hypothesis: Hypothesis, unexplained: NDArray[np.bool_]
+    ) -> list[tuple[Term, Hypothesis]]:
+        """Starts that effects propose at unexplained joints, by the effect that proposes them."""
+
+    def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
+        """Effects with impossible totals or outside the recorded range, and the reason of each."""
+
+
+class SimulatedPhysics:
+    """The physics of an estimation problem, by simulation.
+
+    Args:
+        problem: all its segments are fitted.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.candidates: Sequence[Term] = tuple(candidates(problem))
+        self.recorded = RecordedRange.of(problem)
+
+    @property
+    def joints(self) -> Sequence[str]:
+        """Names of the joints."""
+        return self.problem.joints
+
+    @property
+    def floor(self) -> FloatArray:
+        """(signals,) noise floor."""
+        return self.problem.signal_floor
+
+    @property
+    def lengths(self) -> Sequence[int]:
+        """Number of samples of each segment."""
+        return self.problem.lengths(self.problem.fit)
+
+    @property
+    def recordings(self) -> Sequence[int]:
+        """Recording of each segment."""
+        return [self.problem.simulator.segments[s].trial for s in self.problem.fit]
+
+    def simulate(
+        self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis
+    ) -> list[FloatArray]:
+        """As :meth:`Physics.simulate`."""
+        problem = self.problem.at(corrected_at)
+        return problem.residuals(hypotheses, problem.fit)
+
+    def simulate_recording(
+        self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis, recording: int
+    ) -> list[FloatArray]:
+        """As :meth:`Physics.simulate_recording`."""
+        which = np.asarray(self.recordings) == recording
+        return self.problem.at(corrected_at).residuals(hypotheses, self.problem.fit[which])
+
+    def fit(
+        self, hypothesis: Hypothesis, residual: FloatArray, iterations: int
+    ) -> tuple[Hypothesis, FloatArray, FloatArray]:
+        """As :meth:`Physics.fit`; the result has the corrections of its own parameters."""
+        here = self.problem.at(hypothesis)
+        weights = here.weights(np.mean(residual**2, axis=0))
+        (fitted,) = fit(here, [hypothesis], weights, here.fit, iterations=iterations)
+        corrected = self.problem.at(fitted.hypothesis)
+        (last,) = corrected.residuals([fitted.hypothesis], corrected.fit)
+        return fitted.hypothesis, last, fitted.jacobian
+
+    def linearize(self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray) -> View:
+        """As :meth:`Physics.linearize`."""
+        return self._view(linearize_around(self._scored(hypothesis, residual, jacobian)))
+
+    def view_by_simulation(
+        self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray, closest: int
+    ) -> View:
+        """As :meth:`Physics.view_by_simulation`."""
+        return self._view(simulate_around(self._scored(hypothesis, residual, jacobian), closest))
+
+    def _scored(
+        self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray
+    ) -> ScoredModel:
+        fitted = FittedModel(hypothesis, residual, jacobian, float(np.mean(residual**2)))
+        return ScoredModel(fitted, residual[:0], self.problem.at(hypothesis))
+
+    def _view(self, linearized: LinearizedView) -> View:
+        return View(
+            linearized.linear,
+            bins(self.problem, self.problem.fit),
+            linearized.view,
+            linearized.candidate_sensitivities,
+        )
+
+    def size(self, hypothesis: Hypothesis) -> Size:
+        """As :meth:`Physics.size`."""
+        found = set_size(self.problem, hypothesis)
+        return Size(found.effects, found.free_count)
+
+    def rewrites(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """As :meth:`Physics.rewrites`."""
+        problem = self.problem
+        return [
+            *merge_terms(problem, hypothesis),
+            *merge_joints(problem, hypothesis),
+            *special_cases(problem, hypothesis),
+            *split_terms(problem, hypothesis),
+            *simpler_forms(problem, hypothesis),
+            *equal_sized_forms(hypothesis),
+            *replace_robot_effects(problem, hypothesis),
+        ]
+
+    def sensor_effects(self, hypothesis: Hypothesis, mean_square: FloatArray) -> list[Hypothesis]:
+        """As :meth:`Physics.sensor_effects`.
+
+        The linearized search compares means over bins with the noise floor of single samples, so it
+        may miss an offset of the effort that is below the floor in each bin.
+        """
+        large = mean_square > (VERDICT.identifiable * self.floor) ** 2
+        (joints,) = np.nonzero(large[len(self.joints) :])
+        return [
+            hypothesis.with_term(t, starts_in_first_form(t)[0])
+            for t in self.candidates
+            if t.law.overrides("sense_effort") and t.joint in joints and t not in hypothesis.terms
+        ]
+
+    def starts(
+        self, hypothesis: Hypothesis, unexplained: NDArray[np.bool_]
+    ) -> list[tuple[Term, Hypothesis]]:
+        """As :meth:`Physics.starts`: beside the effects of the hypothesis, and instead of them."""
+        out = list[tuple[Term, Hypothesis]]()
+        for term in dict.fromkeys((*hypothesis.terms, *self.candidates)):
+            if term.joint < 0 or not unexplained[term.joint]:
+                continue
+            for start in starts_at(self.problem, hypothesis, term):
+                others = {
+                    other: np.array([values.get(p.name, 0.0) for p in other.parameters])
+                    for effect, values in start.others.items()
+                    if (other := Term(effect, term.joint))
+                }
+                if others.keys() & set(hypothesis.terms):
+                    continue
+                if term in hypothesis.terms:
+                    theta = hypothesis.theta.copy()
+                    theta[hypothesis.slice_of(term)] = start.parameters
+                    out.append((term, hypothesis.with_theta(theta).with_terms(others)))
+                    continue
+                of_joint = tuple(t for t in hypothesis.terms if t.joint == term.joint)
+                for replaced in ((), of_joint) if of_joint else ((),):
+                    rest = hypothesis.without(*replaced)
+                    out.append((term, rest.with_terms({**others, term: start.parameters})))
+        return out
+
+    def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
+        """As :meth:`Physics.refusals`."""
+        return refused_effects(self.problem, hypothesis, self.recorded)

@@ -1,0 +1,286 @@
+"""The search: linearize around the incumbent, propose, simulate, fit, accept at most one model.
+
+The state is an incumbent and a pool of all simulated models. The sequence of incumbents depends on
+the data alone and starts with the nominal model. The score of the incumbents always increases. A
+limit of time or simulations ends the sequence earlier and changes nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.one_search.accept import Acceptance, accepts
+from pytest_twin.diagnosis.one_search.fit import fit_along_motion, with_linearized_jacobians
+from pytest_twin.diagnosis.one_search.model import Model, Pool
+from pytest_twin.diagnosis.one_search.neighbours import (
+    Neighbour,
+    Quota,
+    neighbours,
+    proposed_starts,
+)
+from pytest_twin.diagnosis.one_search.physics import Physics, View
+from pytest_twin.diagnosis.one_search.settings import SETTINGS, SearchSettings
+from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.comparison import Comparison
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
+
+_STARTS = 4
+"""Starts that effects propose, of which a round simulates the nearest."""
+
+Listener = Callable[[Model, Model, Acceptance], None]
+"""Called with each model of a round, the incumbent, and the decision between them."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchResult:
+    """The last incumbent and the pool.
+
+    Attributes:
+        incumbent: the accepted model.
+        nominal: the model without effects.
+        incumbents: scores of all incumbents, in order.
+        pool: all simulated models.
+        comparison: by which models were compared.
+        is_complete: whether no further proposal passes the acceptance test.
+    """
+
+    incumbent: Model
+    nominal: Model
+    incumbents: tuple[float, ...]
+    pool: Pool
+    comparison: Comparison
+    is_complete: bool
+
+
+class Search:
+    """One search for the effects that a model lacks.
+
+    Args:
+        physics: the robot and its recordings.
+        settings: bounds and thresholds.
+        listener: called with each decision.
+        check: called before each round; raises :class:`OutOfTime` where the search must end.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        settings: SearchSettings = SETTINGS,
+        listener: Listener = lambda model, incumbent, decision: None,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.physics = physics
+        self.settings = settings
+        self.listener = listener
+        self.check = check
+        (residual,) = physics.simulate([EMPTY], EMPTY)
+        self.comparison = Comparison.of(
+            residual, physics.floor, physics.lengths, physics.recordings, len(physics.candidates)
+        )
+        self.pool = Pool(self.comparison)
+        nominal = self._model(EMPTY, residual, "nominal model", EMPTY)
+        self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
+        self.pool.add(self.nominal)
+
+    def run(self, start: Hypothesis = EMPTY, rounds: int | None = None) -> SearchResult:
+        """Search until no proposal is accepted, or until a limit ends it.
+
+        Args:
+            start: hypothesis that the nominal model is compared with first.
+            rounds: largest number of rounds; that of the settings by default.
+        """
+        incumbent, scores, is_complete = self.nominal, [self.nominal.score], False
+        try:
+            if start.terms:
+                incumbent = self._accept_fitted(self._simulate_one(start), incumbent) or incumbent
+                scores.append(incumbent.score)
+            for _ in range(self.settings.rounds if rounds is None else rounds):
+                self.check()
+                better = self._round(incumbent)
+                if better is None:
+                    is_complete = True
+                    break
+                incumbent = better
+                scores.append(incumbent.score)
+        except OutOfTime:
+            pass
+        return SearchResult(
+            incumbent, self.nominal, tuple(scores), self.pool, self.comparison, is_complete
+        )
+
+    def _round(self, incumbent: Model) -> Model | None:
+        """The model that replaces the incumbent; None if no proposal passes the test."""
+        if not incumbent.hypothesis.terms and not self._exceeds(incumbent, VERDICT.identifiable):
+            return None
+        view = self._linearize(incumbent)
+        proposals = self._propose(incumbent, view)
+        chosen = self._select(proposals, incumbent)
+        models = self._simulate([n.hypothesis for n in chosen], incumbent.corrected_at, "neighbour")
+        models = self._fit_best(view, models, incumbent, self.settings.finalists)
+        models += self._from_starts(view, models, incumbent)
+        accepted = self._accept_one(view, models, incumbent)
+        if accepted is not None:
+            return accepted
+        rivals = self._rivals(view, proposals, incumbent)
+        return self._accept_one(view, rivals, incumbent)
+
+    def _linearize(self, incumbent: Model) -> View:
+        return self.physics.linearize(
+            incumbent.hypothesis, incumbent.residual, _jacobian_of(incumbent)
+        )
+
+    def _propose(self, incumbent: Model, view: View) -> list[Neighbour]:
+        """Neighbours; with simulated candidates where the linearization explains nothing."""
+        physics, settings = self.physics, self.settings
+        found = neighbours(physics, self.comparison, incumbent, view, settings)
+        gains = [n.gain for n in found if not n.has_elastic]
+        if (
+            view.linear is not None
+            and not incumbent.hypothesis.terms
+            and max(gains, default=0.0) < settings.earns
+        ):
+            seen = physics.view_by_simulation(
+                incumbent.hypothesis, incumbent.residual, _jacobian_of(incumbent), 4
+            )
+            found += neighbours(physics, self.comparison, incumbent, seen, settings)
+        return found
+
+    def _select(self, proposals: Sequence[Neighbour], incumbent: Model) -> list[Neighbour]:
+        """The proposals that are simulated: the best of each number of effects, then the others.
+
+        Large models can fit errors of the linearization, so they do not displace a single effect. A
+        removed effect had to earn its place, and its removal gets the same amount.
+        """
+        settings, count = self.settings, len(incumbent.hypothesis.terms)
+
+        def rank(neighbour: Neighbour) -> float:
+            fewer = max(count - len(neighbour.hypothesis.terms), 0)
+            return neighbour.gain + settings.earns * fewer
+
+        ranked = sorted(proposals, key=rank, reverse=True)
+        first, others = Quota.of(settings).divide(ranked)
+        return first + others[: max(settings.proposals - len(first), 0)]
+
+    def _fit_best(
+        self, view: View, models: Sequence[Model], incumbent: Model, count: int
+    ) -> list[Model]:
+        """Models by score; the first ``count`` are fitted along the motion."""
+        ranked = sorted(models, key=lambda m: -m.score)
+        fitted = fit_along_motion(
+            view,
+            ranked[:count],
+            lambda hypotheses: self._simulate(hypotheses, incumbent.corrected_at, "fit"),
+            self.comparison.floor,
+            self.settings.corrections,
+        )
+        return [*fitted, *ranked[count:]]
+
+    def _from_starts(self, view: View, models: Sequence[Model], incumbent: Model) -> list[Model]:
+        """Models from starts that effects propose, where the best proposal leaves much."""
+        best = max([incumbent, *models], key=lambda m: m.score)
+        before = np.nan_to_num(incumbent.mean_square, posinf=0.0)
+        large = best.mean_square > (2.0 * VERDICT.identifiable * self.comparison.floor) ** 2
+        if not (large & (best.mean_square > self.settings.scan_above * before)).any():
+            return []
+        joints = len(self.physics.joints)
+        unexplained = np.asarray(large.reshape(-1, joints).any(axis=0))
+        hypotheses = proposed_starts(self.physics, incumbent, best, unexplained, _STARTS)
+        started = self._simulate(hypotheses, incumbent.corrected_at, "start of an effect")
+        return self._fit_best(view, started, incumbent, 3)
+
+    def _rivals(self, view: View, proposals: Sequence[Neighbour], incumbent: Model) -> list[Model]:
+        """Alternatives to the effects of the incumbent, simulated and fitted, for the confidence.
+
+        Those that are not simulated enter the pool with their linearized evidence.
+        """
+        own, settings = set(incumbent.hypothesis.terms), self.settings
+        if not own:
+            return []
+        others = [n for n in proposals if not own <= set(n.hypothesis.terms)]
+        for n in others:
+            self.pool.add_linearized(
+                n.hypothesis, self.physics.size(n.hypothesis), n.gain, n.difference
+            )
+        seen, chosen = set[frozenset[object]](), list[Neighbour]()
+        for n in sorted(others, key=lambda n: (n.difference > 1.0, -n.gain)):
+            key = frozenset(n.hypothesis.terms)
+            if key not in seen and n.gain > -settings.rival_within:
+                seen.add(key)
+                chosen.append(n)
+        models = self._simulate(
+            [n.hypothesis for n in chosen[: settings.rivals]], incumbent.corrected_at, "rival"
+        )
+        return self._fit_best(view, models, incumbent, settings.finalists)
+
+    def _accept_one(self, view: View, models: Sequence[Model], incumbent: Model) -> Model | None:
+        """The simplest model that passes the test against all others, fitted by simulation."""
+        ranked = sorted(models, key=lambda m: -m.score)[: self.settings.contenders]
+        contenders = with_linearized_jacobians(view, ranked, self.comparison)
+        remaining = sorted(contenders, key=lambda m: (m.size.effects, m.size.parameters, -m.score))
+        while remaining:
+            best = incumbent
+            for model in remaining:
+                if self._decide(model, best).is_accepted:
+                    best = model
+            if best is incumbent:
+                return None
+            accepted = self._accept_fitted(best, incumbent)
+            if accepted is not None:
+                return accepted
+            remaining = [m for m in remaining if m is not best]
+        return None
+
+    def _decide(self, model: Model, incumbent: Model) -> Acceptance:
+        refused = self.physics.refusals(model.hypothesis)
+        if refused:
+            decision = Acceptance(False, next(iter(refused.values())))
+        else:
+            decision = accepts(model, incumbent, self.nominal, self.comparison, self.settings)
+        self.listener(model, incumbent, decision)
+        return decision
+
+    def _accept_fitted(self, model: Model, incumbent: Model) -> Model | None:
+        """A model fitted by simulation, if it then replaces the incumbent."""
+        hypothesis, residual, jacobian = self.physics.fit(
+            model.hypothesis, model.residual, self.settings.refinements
+        )
+        fitted = self._model(hypothesis, residual, model.origin, hypothesis)
+        fitted = fitted.with_jacobian(self.comparison, jacobian)
+        self.pool.add(fitted)
+        return fitted if self._decide(fitted, incumbent).is_accepted else None
+
+    def _simulate_one(self, hypothesis: Hypothesis) -> Model:
+        (residual,) = self.physics.simulate([hypothesis], hypothesis)
+        return self._model(hypothesis, residual, "first answer", hypothesis)
+
+    def _simulate(
+        self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis, origin: str
+    ) -> list[Model]:
+        """Simulated models, which enter the pool."""
+        residuals = self.physics.simulate(hypotheses, corrected_at) if hypotheses else []
+        models = [
+            self._model(h, r, origin, corrected_at)
+            for h, r in zip(hypotheses, residuals, strict=True)
+        ]
+        for model in models:
+            self.pool.add(model)
+        return models
+
+    def _model(
+        self, hypothesis: Hypothesis, residual: FloatArray, origin: str, corrected_at: Hypothesis
+    ) -> Model:
+        size = self.physics.size(hypothesis)
+        return Model.of(self.comparison, hypothesis, residual, size, origin, corrected_at)
+
+    def _exceeds(self, model: Model, floors: float) -> bool:
+        return bool((model.mean_square > (floors * self.comparison.floor) ** 2).any())
+
+
+def _jacobian_of(model: Model) -> FloatArray:
+    assert model.jacobian is not None
+    return model.jacobian

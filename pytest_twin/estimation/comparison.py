@@ -1,0 +1,212 @@
+"""What all models of one search are compared by: noise, blocks and folds, fixed before the search.
+
+The score of a model is a penalized log-likelihood of residuals that were predicted without the
+recording they belong to (cross-validation). Each signal has its variance profiled out, and no
+variance is below the noise floor. The number of independent samples is that of the nominal model's
+residual: model error does not average out within a motion (Kish, Survey Sampling, 1965). Every
+parameter costs 0.5 log(n) (Schwarz 1978), every effect the log of the number of candidates
+(extended BIC: Chen, Chen, Biometrika 95, 2008). Scores are therefore absolute: a score never
+depends on another model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.estimation.score import NOISE_FLOORS, effective_samples
+
+_PARTS_OF_ONE_RECORDING = 4
+"""Folds of a single recording, each a part of its time."""
+_FEWEST_BLOCKS, _MOST_BLOCKS = 2, 20
+"""Smallest and largest number of blocks of a recording."""
+_CORRELATION_TIMES = 2.0
+"""Length of a block, in correlation times of the nominal residual."""
+_RIDGE = 1e-8
+"""Share of the diagonal that is added to a normal matrix, so that dependent parameters can be
+solved."""
+
+
+class IncomparableModelsError(ValueError):
+    """Two residuals do not belong to the same samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Number of effects and of estimated parameters of a model."""
+
+    effects: int
+    parameters: int
+
+    def is_richer_than(self, other: Size) -> bool:
+        """Whether a model of this size has more effects, or as many with more parameters."""
+        return (self.effects, self.parameters) > (other.effects, other.parameters)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Noise, blocks and folds by which all models of a search are compared.
+
+    Attributes:
+        floor: (signals,) noise floor, in the unit of each signal.
+        independent: (signals,) number of independent samples.
+        block: (samples,) index of the block of each sample. Blocks are longer than the correlation
+            of the nominal residual and do not cross recordings.
+        fold: (samples,) index of the fold of each sample: its recording, or a part of the only one.
+        has_one_recording: whether the folds are parts of a single recording.
+        candidates: number of effects among which the search chooses.
+    """
+
+    floor: FloatArray
+    independent: FloatArray
+    block: NDArray[np.int64]
+    fold: NDArray[np.int64]
+    has_one_recording: bool
+    candidates: int
+
+    @classmethod
+    def of(
+        cls,
+        nominal: FloatArray,
+        floor: FloatArray,
+        lengths: Sequence[int],
+        recordings: Sequence[int],
+        candidates: int,
+    ) -> Comparison:
+        """Blocks and folds of the samples of some segments.
+
+        Args:
+            nominal: (samples, signals) residual of the nominal model, segments stacked.
+            floor: (signals,) noise floor.
+            lengths: number of samples of each segment.
+            recordings: index of the recording of each segment.
+            candidates: number of effects among which the search chooses.
+        """
+        finite = np.nan_to_num(nominal, posinf=0.0, neginf=0.0)
+        independent = effective_samples(finite, lengths)
+        mismatched = np.mean(finite**2, axis=0) > (NOISE_FLOORS * floor) ** 2
+        if mismatched.any():
+            # A signal that the nominal model explains would outweigh all others by its many
+            # independent samples.
+            typical = float(np.median(independent[mismatched]))
+            independent = np.minimum(independent, typical)
+        correlation = len(finite) / max(float(independent.min()), 1.0)
+        owner = np.repeat(np.asarray(recordings, dtype=np.int64), lengths)
+        block = np.empty(len(owner), dtype=np.int64)
+        count = 0
+        names = np.unique(owner)
+        for name in names:
+            (own,) = np.nonzero(owner == name)
+            wanted = int(len(own) / (_CORRELATION_TIMES * correlation))
+            parts = int(np.clip(wanted, _FEWEST_BLOCKS, _MOST_BLOCKS))
+            block[own] = count + np.arange(len(own)) * parts // max(len(own), 1)
+            count += parts
+        is_one = len(names) < 2
+        fold = (
+            np.arange(len(owner)) * _PARTS_OF_ONE_RECORDING // max(len(owner), 1)
+            if is_one
+            else np.searchsorted(names, owner)
+        )
+        return cls(floor, independent, block, fold, is_one, candidates)
+
+    def penalty(self, size: Size) -> float:
+        """Penalty of the log-likelihood for the effects and parameters of a model."""
+        for_parameter = 0.5 * np.log(max(float(self.independent.mean()), 2.0))
+        return float(
+            for_parameter * size.parameters + np.log(max(self.candidates, 1)) * size.effects
+        )
+
+    def log_likelihood(self, mean_square: FloatArray, floors: float = 1.0) -> float:
+        """Log-likelihood of (signals,) mean squared residuals; minus infinity if not finite.
+
+        Args:
+            mean_square: mean squared residuals.
+            floors: noise floors below which residuals count as equal.
+        """
+        if not np.isfinite(mean_square).all():
+            return -np.inf
+        known = np.maximum(mean_square, (floors * self.floor) ** 2)
+        return float(-0.5 * np.sum(self.independent * np.log(known / self.floor**2)))
+
+    def cross_validated(
+        self,
+        residual: FloatArray,
+        jacobian: FloatArray,
+        theta: FloatArray,
+        bounds: tuple[FloatArray, FloatArray],
+    ) -> FloatArray:
+        """(samples, signals) residual of each fold with the parameters of the other folds.
+
+        The parameters without a fold follow from one Gauss-Newton step on the fit to all folds.
+
+        Args:
+            residual: (samples, signals) of the fit to all folds.
+            jacobian: (samples, signals, parameters) derivative of its prediction.
+            theta: (parameters,) its parameters.
+            bounds: lower and upper bounds of the parameters.
+        """
+        self._check(residual)
+        if not theta.size or not np.isfinite(residual).all():
+            return residual
+        weight = 1.0 / (np.mean(residual**2, axis=0) + self.floor**2)
+        folds = range(int(self.fold.max()) + 1)
+        inside = [self.fold == k for k in folds]
+        normal = [
+            np.einsum("tsp,s,tsq->pq", jacobian[own], weight, jacobian[own]) for own in inside
+        ]
+        gradient = [
+            np.einsum("tsp,s,ts->p", jacobian[own], weight, residual[own]) for own in inside
+        ]
+        whole, slope = np.sum(normal, axis=0), np.sum(gradient, axis=0)
+        step = _solve(whole, slope, whole)
+        out = residual.copy()
+        for k, own in enumerate(inside):
+            change = _solve(whole - normal[k], slope - gradient[k], whole) - step
+            moved = np.clip(theta + change, *bounds) - theta
+            out[own] -= jacobian[own] @ moved
+        return out
+
+    def gain(self, residual: FloatArray, over: FloatArray) -> tuple[float, float]:
+        """Mean gain of a residual over another one in a block, and its standard error.
+
+        The loss of a block is the sum over signals of half the log of its mean square plus the
+        squared noise floor. Infinite gains are those over a simulation that diverged.
+        """
+        for each in (residual, over):
+            self._check(each)
+        difference = self._block_losses(over) - self._block_losses(residual)
+        if not np.isfinite(difference).all():
+            is_gain = np.isfinite(residual).all()
+            return (np.inf if is_gain else -np.inf), 0.0
+        error = float(np.std(difference, ddof=1)) / np.sqrt(len(difference))
+        return float(difference.mean()), error
+
+    def _block_losses(self, residual: FloatArray) -> FloatArray:
+        counts = np.bincount(self.block).astype(float)
+        mean_square = np.array([
+            np.bincount(self.block, weights=column) / counts for column in residual.T**2
+        ])  # fmt: skip
+        losses: FloatArray = 0.5 * np.log(1.0 + mean_square.T / self.floor**2).sum(axis=1)
+        return losses
+
+    def _check(self, residual: FloatArray) -> None:
+        expected = (len(self.block), len(self.floor))
+        if residual.shape != expected:
+            raise IncomparableModelsError(
+                f"models are compared on {residual.shape[0]} samples of {residual.shape[1]} "
+                f"signals; expected {expected[0]} samples of {expected[1]} signals"
+            )
+
+
+def _solve(normal: FloatArray, right: FloatArray, whole: FloatArray) -> FloatArray:
+    """Solution of a normal equation; directions that only ``whole`` determines get no step."""
+    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    known = values > _RIDGE * max(len(size), 1)
+    shares = np.where(known, vectors.T @ (right / size) / np.where(known, values, 1.0), 0.0)
+    out: FloatArray = vectors @ shares / size
+    return out
