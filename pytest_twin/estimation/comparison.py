@@ -197,7 +197,7 @@ class Comparison:
         expected = (len(self.block), len(self.floor))
         if residual.shape != expected:
             raise IncomparableModelsError(
-                f"models are compared on {residual.shape[0]} samples of {residual.shape[1]} "
+                f"a model is compared on {residual.shape[0]} samples of {residual.shape[1]} "
                 f"signals; expected {expected[0]} samples of {expected[1]} signals"
             )
 

@@ -106,20 +106,14 @@ def neighbours(
         settings: of the search.
     """
     own = incumbent.hypothesis
-    different = dict[tuple[frozenset[Term], bytes], Hypothesis]()
+    different = dict[_Form, Hypothesis]()
     for hypothesis in itertools.chain(
         _exchanges(physics, incumbent, view, settings),
         confused(physics, own),
         physics.rewrites(own),
         physics.sensor_effects(own, incumbent.mean_square),
     ):
-        theta = hypothesis.theta
-        form = [
-            estimated
-            for t in sorted(hypothesis.terms)
-            for estimated in t.is_estimated(theta[hypothesis.slice_of(t)])
-        ]
-        different.setdefault((frozenset(hypothesis.terms), np.array(form).tobytes()), hypothesis)
+        different.setdefault(_form_of(hypothesis), hypothesis)
     starts = list(different.values())
     linear, seen = view.linear, view.residual
     if linear is None:
@@ -142,6 +136,22 @@ def neighbours(
     first, others = Quota.of(settings, 2).divide(fitted(starts, _FIRST_ITERATIONS))
     again = fitted([n.hypothesis for n in first], _MORE_ITERATIONS)
     return sorted([*again, *others], key=lambda n: -n.gain)
+
+
+_Form = frozenset[tuple[Term, tuple[float, ...], tuple[bool, ...]]]
+
+
+def _form_of(hypothesis: Hypothesis) -> _Form:
+    """Terms with their discrete choices and the parameters that a fit estimates."""
+    return frozenset(
+        (
+            t,
+            tuple(float(x) for x, p in zip(own, t.parameters, strict=True) if p.choice),
+            tuple(map(bool, t.is_estimated(own))),
+        )
+        for t in hypothesis.terms
+        if len(own := hypothesis.theta[hypothesis.slice_of(t)])
+    )
 
 
 def removals(own: Hypothesis) -> list[tuple[Term, ...]]:
@@ -203,13 +213,21 @@ def confused(physics: Physics, own: Hypothesis) -> list[Hypothesis]:
             same_place = term.joint < 0 or new.joint < 0 or new.joint == term.joint
             if not listed or not same_place or new in own.terms:
                 continue
-            (start, _), *_ = starting_grid(new)
-            start = start.copy()
-            for k, p in enumerate(new.parameters):
-                if (p.name, p.quantity) in known:
-                    start[k] = np.clip(known[p.name, p.quantity], p.lower, p.upper)
-            out.append(own.without(term).with_term(new, start))
+            for start in _start_of_each_form(new):
+                for k, p in enumerate(new.parameters):
+                    if (p.name, p.quantity) in known:
+                        start[k] = np.clip(known[p.name, p.quantity], p.lower, p.upper)
+                out.append(own.without(term).with_term(new, start))
     return out
+
+
+def _start_of_each_form(term: Term) -> list[FloatArray]:
+    """The first starting size of a term in each of its forms."""
+    choices = [k for k, p in enumerate(term.parameters) if p.choice]
+    first = dict[bytes, FloatArray]()
+    for start, _ in starting_grid(term):
+        first.setdefault(start[choices].tobytes(), start.copy())
+    return list(first.values())
 
 
 def _residuals_without(
