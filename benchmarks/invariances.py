@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.trial import make_trial
 
 Array = NDArray[np.float64]

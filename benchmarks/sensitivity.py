@@ -54,11 +54,11 @@ from variants import WithVariants
 
 import pytest_twin
 import pytest_twin.diagnosis
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.first_answer import first_answer
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats import atomic
+from pytest_twin.loaded_model import load_model
 
 Answer = dict[str, Any]
 

@@ -154,6 +154,8 @@ def error_types() -> str:
 
 
 API = {
+    "pytest_twin.library": "Functions of pytest_twin",
+    "pytest_twin.loaded_model": "",
     "pytest_twin.checks": "A kind of golden",
     "pytest_twin.dependency": "",
     "pytest_twin.effects": "An effect",

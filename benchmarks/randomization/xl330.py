@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin import cli
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.patched.replay import replay_patched
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.trial import make_trials
 from pytest_twin.trial.read import recordings_at
 from pytest_twin.twin import load_twin

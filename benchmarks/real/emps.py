@@ -30,10 +30,10 @@ from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.trial import Trial, make_trial
 
 Regressor = Callable[[FloatArray, FloatArray], FloatArray]

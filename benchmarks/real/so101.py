@@ -25,11 +25,11 @@ from pathlib import Path
 import numpy as np
 from recorded import folder_of
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.trial import Trial, make_trial
 
 # Each joint moves in at least one of these recordings, and all joints in the first.

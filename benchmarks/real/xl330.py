@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 from recorded import folder_of
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.prepare import prepare
@@ -42,6 +41,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial, make_trial
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 from pathlib import Path
 from typing import Any
@@ -88,15 +89,35 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: the input cannot be used.
     """
-    plan: Path = args.plan
+    out: Path = args.out
+    with Progress("calibrating") as progress:
+        document = calibrate_into(out, args.plan, args.seconds, progress)
+    json_output.give(args, document)
+    show(_words(document, out / FILE_NAME))
+    return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
+
+
+def calibrate_into(
+    out: Path, plan: Path, seconds: float, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Calibrate in a child process, write the folder atomically, and return the document.
+
+    Args:
+        out: a new folder, or that of an earlier calibration.
+        plan: the plan's file.
+        seconds: limit of the processor time, s; 0 for none.
+        progress: shows the progress; if given, Ctrl-C ends the calibration early.
+
+    Raises:
+        TwinError: the input cannot be used.
+    """
     if not plan.is_file():
         raise PathError("no such file", path=plan, expected="a calibration plan (.yaml)")
-    out: Path = args.out
+    written = "the best values so far are written"
     with (
         results.result_folder(out, FILE_NAME) as staging,
         Sandbox(seconds=_MOST_SECONDS) as sandbox,
-        Progress("calibrating") as progress,
-        progress.stopping_early(sandbox, "the best values so far are written"),
+        contextlib.nullcontext() if progress is None else progress.stopping_early(sandbox, written),
     ):
         document = sandbox.call(
             "pytest_twin.calibration.run:calibrate_file",
@@ -104,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
                 "plan": str(plan.absolute()),
                 "folder": str(staging / OBSERVATIONS),
                 "record_folder": str(out.absolute()),
-                "seconds": args.seconds,
+                "seconds": seconds,
             },
             progress=progress,
         )
@@ -116,10 +137,8 @@ def run(args: argparse.Namespace) -> int:
         text = json.dumps(document, indent=2) + "\n"
         for name, content in {FILE_NAME: text, PAGE_NAME: page, **exports}.items():
             atomic.write_text(staging / name, results.as_placed(content, staging))
-    document = json.loads(results.as_placed(text, staging))
-    json_output.give(args, document)
-    show(_words(document, out / FILE_NAME))
-    return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
+    placed: dict[str, Any] = json.loads(results.as_placed(text, staging))
+    return placed
 
 
 def _seconds(text: str) -> float:

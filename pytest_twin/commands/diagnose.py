@@ -18,12 +18,12 @@ from pytest_twin.commands.recording_arguments import (
     add_recordings,
     recording_options,
 )
-from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
+from pytest_twin.loaded_model import find_model
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
@@ -246,7 +246,6 @@ def diagnose_files(
     Returns:
         The verdict and the lines to print.
     """
-    from pytest_twin.commands.replay import load_model
     from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
     from pytest_twin.diagnosis.first_answer import FIRST_SECONDS, first_answer
     from pytest_twin.diagnosis.roles import roles_of
@@ -254,6 +253,7 @@ def diagnose_files(
     from pytest_twin.diagnosis.trace import Step, Trace
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
+    from pytest_twin.loaded_model import load_model
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
     from pytest_twin.realization.record_inputs import states_of_records
     from pytest_twin.records.state import stale_lines

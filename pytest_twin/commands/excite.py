@@ -9,9 +9,9 @@ from typing import Any
 
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
-from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.formats import atomic, results
+from pytest_twin.loaded_model import find_model
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import excitation
 from pytest_twin.report.text import printable

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from pytest_twin.commands.recording_arguments import (
     add_recordings,
     recording_options,
 )
-from pytest_twin.commands.replay import find_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.temporary import temporary_folder
+from pytest_twin.loaded_model import find_model
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import identification
 from pytest_twin.report.text import printable
@@ -141,46 +142,74 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: the input cannot be used.
     """
+    arguments = {
+        "topics": args.topics,
+        "options": recording_options(args),
+        "sensors": args.sensor,
+        "tosses": {
+            "length": args.length_unit,
+            "rate": args.rate,
+            "body": args.body,
+            "topic": args.pose_topic,
+            "wrench": args.wrench_topic,
+        },
+    }
     out: Path = args.out.absolute()
-    model = find_model(args.model)
+    if args.id:
+        arguments["name"] = args.id
+    with Progress("identifying") as progress:
+        document = identify_into(
+            out, args.model, args.recordings, args.held_out, arguments, progress
+        )
+    json_output.give(args, document)
+    show("\n".join(printable(line) for line in _words(document, args.out)))
+    return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
+
+
+def identify_into(
+    out: Path,
+    model: Path,
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    arguments: Mapping[str, Any],
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Identify in a child process, write the folder atomically, and return the document.
+
+    Args:
+        out: absolute path of a new or empty folder, or of an earlier identification.
+        model, recordings, held_out: files and folders, as on the command line.
+        arguments: further fields of ``IdentificationRequest``.
+        progress: shows the progress.
+
+    Raises:
+        TwinError: the input cannot be used.
+    """
+    found = find_model(model)
     with (
         results.result_folder(out, FILE_NAME, alone=True) as staging,
         # The simulator writes its log to the working folder, so use one that is deleted.
         temporary_folder() as scratch,
     ):
-        with (
-            Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox,
-            Progress("identifying") as progress,
-        ):
-            document = sandbox.call(
+        with Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox:
+            document: dict[str, Any] = sandbox.call(
                 "pytest_twin.identification.run:identify_files",
                 {
                     "request": {
-                        "model": str(model),
-                        "recordings": [str(r.absolute()) for r in args.recordings],
-                        "held_out": [str(r.absolute()) for r in args.held_out],
+                        "model": str(found),
+                        "recordings": [str(r.absolute()) for r in recordings],
+                        "held_out": [str(r.absolute()) for r in held_out],
                         "out": str(staging),
                         "folder": str(out),
-                        "name": args.id or out.name,
-                        "topics": args.topics,
-                        "options": recording_options(args),
-                        "sensors": args.sensor,
-                        "tosses": {
-                            "length": args.length_unit,
-                            "rate": args.rate,
-                            "body": args.body,
-                            "topic": args.pose_topic,
-                            "wrench": args.wrench_topic,
-                        },
+                        "name": out.name,
+                        **arguments,
                     }
                 },
                 progress=progress,
             )
         atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
         atomic.write_text(staging / PAGE_NAME, identification.render(document))
-    json_output.give(args, document)
-    show("\n".join(printable(line) for line in _words(document, args.out)))
-    return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
+    return document
 
 
 def _words(document: dict[str, Any], out: Path) -> list[str]:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.prediction import concatenate, distances, predict, predicted_positions
@@ -19,20 +19,16 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.terminal import show
-from pytest_twin.errors import SpecError, TwinError
+from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import TOPICS
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
+from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report import replay as page
 from pytest_twin.trial import at_command_stamps, make_trials, recording_at
 from pytest_twin.trial.command_field import refuse_unfit_modes
-from pytest_twin.twin import FILE_NAME, Twin, load_twin, model_suffixes
-
-if TYPE_CHECKING:
-    from pytest_twin.diagnosis.patched.model import PatchedModel
-    from pytest_twin.realization import Realization
 
 HELP = "simulate a model under a recording's commands, open loop, and write the predicted states"
 EXAMPLES = (
@@ -42,8 +38,6 @@ EXAMPLES = (
 EXIT_STATUS = {0: "the prediction is written, however far it is from the recording"}
 DONE = 0
 STATE_TOPIC = TOPICS["state"]
-# In a folder of a diagnosis, the first of these that exists.
-_IN_FOLDER = (f"realization/{FILE_NAME}", "realization/model.xml", FILE_NAME)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,29 +102,6 @@ def run(args: argparse.Namespace) -> int:
     json_output.give(args, summary)
     show(_words(summary))
     return DONE
-
-
-def find_model(given: Path) -> Path:
-    """Return the model or ``twin.yaml`` for MODEL on a command line.
-
-    Raises:
-        SpecError: a folder with neither, or a file of a different kind.
-    """
-    if given.is_dir():
-        results.finish(given)
-        for name in _IN_FOLDER:
-            if (given / name).is_file():
-                return (given / name).resolve()
-        raise SpecError("no model in this folder", path=given, expected=" or ".join(_IN_FOLDER))
-    if not given.exists():
-        raise SpecError("no such model", path=given, expected="a file or a folder")
-    if given.suffix.lower() not in (*model_suffixes(), ".yaml", ".yml"):
-        raise SpecError(
-            "not a model that can be replayed",
-            path=given,
-            expected="MJCF (.xml, .mjcf), URDF (.urdf), twin.yaml, or the folder of a diagnosis",
-        )
-    return given.resolve()
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,49 +212,6 @@ def replay_file(
             *realization.notes,
         ],
     }
-
-
-@dataclass(frozen=True, slots=True)
-class LoadedModel:
-    """A loaded MODEL of a command line.
-
-    Attributes:
-        realization: the realization, with its twin if it has one.
-        topics: role -> topic.
-        options: the twin's options for reading recordings.
-        patched: effects of a diagnosis that are stepped together with the model, or None.
-    """
-
-    realization: Realization
-    topics: Mapping[str, str]
-    options: RecordingOptions
-    patched: PatchedModel | None
-
-
-def load_model(file: Path, base: Base | None = None) -> LoadedModel:
-    """Load the file found by :func:`find_model`; runs in the child process.
-
-    Args:
-        file: model or ``twin.yaml``.
-        base: what holds a floating base; overrides the twin.
-
-    Raises:
-        TwinError: the model cannot be loaded.
-    """
-    from pytest_twin.diagnosis.patched.model import read_patched_model
-    from pytest_twin.realization import load
-    from pytest_twin.realization.record_inputs import with_stale_records
-
-    twin: Twin | None = None
-    name = "mujoco"
-    if file.suffix.lower() in (".yaml", ".yml"):
-        twin = load_twin(file)
-        first = twin.first_realization
-        name, file = first.name, first.file
-    realization = with_stale_records(load(file, twin=twin, name=name, base=base))
-    topics = dict(TOPICS if twin is None else twin.topics)
-    options = NO_OPTIONS if twin is None else twin.recordings
-    return LoadedModel(realization, topics, options, read_patched_model(realization))
 
 
 def _check_out(out: Path, recording: Path) -> None:

@@ -14,10 +14,10 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.recording_summary import episodes_in_words, in_words, survey
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import TOPICS
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable

@@ -22,10 +22,10 @@ from injections import Recorded
 from real_effects import CHOICES, DRAWS
 from real_models import MACHINES, Machine
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.formats.mcap import read_recording, write_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.trial import make_trials
 
 needs_recordings = pytest.mark.skipif(

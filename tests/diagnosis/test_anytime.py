@@ -14,9 +14,9 @@ import pytest
 from two_pendulums import JOINTS, case
 
 from pytest_twin import cli
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.first_answer import first_answer
 from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.loaded_model import load_model
 
 LEFT = JOINTS[:1]
 PROGRAM = str(Path(sys.executable).with_name("pytest-twin"))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from two_pendulums import JOINTS, mjcf, record
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.alternative_sets import without_comparison
 from pytest_twin.diagnosis.budget import COMPARISON_SHARE, RESERVED_SHARE, Budget
 from pytest_twin.diagnosis.diagnose import diagnose
@@ -20,6 +19,7 @@ from pytest_twin.diagnosis.search_result import search
 from pytest_twin.diagnosis.trace import MOST_STEPS, Step, Trace
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.estimation.deadline import OutOfTime, check_deadline
+from pytest_twin.loaded_model import load_model
 from pytest_twin.realization import Realization
 
 LEFT = JOINTS[:1]

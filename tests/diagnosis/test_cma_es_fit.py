@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from two_pendulums import mjcf, record
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.cma_es_fit import (
@@ -17,6 +16,7 @@ from pytest_twin.diagnosis.search.cma_es_fit import (
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel, fit
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.trial import make_trial
 
 LAG = 0.05

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from recorded_pendulum import Reality, cell
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.findings import Estimate, Explanation, Finding
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -25,6 +24,7 @@ from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignal
 from pytest_twin.diagnosis.signal_meaning.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.estimation.hypothesis import EMPTY, Term
+from pytest_twin.loaded_model import find_model, load_model
 
 NOISE = np.array([1e-4])
 

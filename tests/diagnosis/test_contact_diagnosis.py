@@ -13,7 +13,6 @@ import pytest
 from touching_arm import FRICTION, SOLREF, case, mjcf
 
 from pytest_twin import cli
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.locate import locate_error, smooth_motions
@@ -29,6 +28,7 @@ from pytest_twin.effects.contact_geoms import CONTACT_DISTANCE, find_contact_geo
 from pytest_twin.errors import RecordingError
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.trial import Trial, make_trial
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")

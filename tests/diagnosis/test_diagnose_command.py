@@ -14,11 +14,11 @@ import pytest
 from two_pendulums import JOINTS, case, record
 
 from pytest_twin import cli
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.formats.schema import load_schema
+from pytest_twin.loaded_model import load_model
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 

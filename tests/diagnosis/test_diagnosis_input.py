@@ -26,13 +26,13 @@ from two_pendulums import (
 )
 
 from pytest_twin import cli
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import NOISE, prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.errors import RecordingError, SimulationError
 from pytest_twin.formats.mcap import JointSeries, write_recording
+from pytest_twin.loaded_model import load_model
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 

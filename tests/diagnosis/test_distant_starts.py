@@ -9,13 +9,13 @@ import pytest
 from proposed import proposed
 from two_pendulums import JOINTS, KP, KV, case, mjcf
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.formats.mcap import TOPICS
+from pytest_twin.loaded_model import load_model
 from pytest_twin.realization import Realization
 
 STIFFER, MORE_DAMPED = 50.0, 8.0

@@ -14,7 +14,6 @@ from test_first_order import problem_of
 from two_pendulums import case
 
 import pytest_twin.diagnosis
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.first_order.limit_refinement import is_single_amplitude_limit
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity, starting_grid
@@ -25,6 +24,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.proposal import sizes_up_to_bound
 from pytest_twin.estimation.hypothesis import EMPTY, Term
 from pytest_twin.formats.mcap import TOPICS
+from pytest_twin.loaded_model import load_model
 
 DIAGNOSIS = Path(pytest_twin.diagnosis.__file__).parent
 OTHER_MEANINGS = {

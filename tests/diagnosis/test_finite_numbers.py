@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from two_pendulums import mjcf, record
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.findings import build_estimate, build_explanation, finding_json
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.search.pruning import prune
@@ -22,6 +21,7 @@ from pytest_twin.effects.base import Parameter
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.trial import make_trial
 
 PARAMETERS = [p for e in catalogue().values() for p in e.parameters]

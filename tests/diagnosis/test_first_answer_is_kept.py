@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from two_pendulums import JOINTS, case
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.first_answer import first_answer
@@ -18,6 +17,7 @@ from pytest_twin.diagnosis.quick_diagnosis import QuickDiagnosis
 from pytest_twin.diagnosis.roles import roles_of
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.loaded_model import load_model
 from pytest_twin.realization import Realization
 
 LEFT = JOINTS[:1]

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.friction_constraint import (
     FRICTION_CREEP_NOTE,
@@ -25,6 +24,7 @@ from pytest_twin.effects.constraint import stiff_friction, stiffen_friction
 from pytest_twin.errors import SpecError
 from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import JointSeries, write_recording
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.realization import Realization
 
 STEP, SECONDS, NOISE = 2e-4, 1.8, 2e-6

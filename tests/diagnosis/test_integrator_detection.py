@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
@@ -25,6 +24,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.estimation.hypothesis import EMPTY, Term
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.gate.diagnosis_folder import write_diagnosis
+from pytest_twin.loaded_model import find_model, load_model
 
 STEP, SECONDS, NOISE = 0.002, 2.5, 2e-5
 BACKLASH, DAMPING = Term("backlash", 1), Term("viscous_friction", 1)

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import JointSeries, write_recording
+from pytest_twin.loaded_model import find_model, load_model
 
 ADDED = 0.8
 """Additional viscous friction of the recorded joint, N*m*s/rad."""

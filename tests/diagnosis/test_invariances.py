@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from two_pendulums import STEP, mjcf, reference, simulate, write
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.trial import make_trial
 
 DRY, NOISE, SEEDS = 0.06, 1e-4, (1, 2, 3)

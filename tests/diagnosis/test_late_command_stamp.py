@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from recorded_pendulum import MODEL, SERVO, Reality, record
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.loaded_model import find_model, load_model
 
 EFFORTS = Reality(command_period=0.01, effort="measured", velocity="sensor")
 

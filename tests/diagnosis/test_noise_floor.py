@@ -11,7 +11,6 @@ import pytest
 from two_pendulums import START_NS, case
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.noise import timing_noise
 from pytest_twin.diagnosis.prepare import NOISE as SENSOR
@@ -23,6 +22,7 @@ from pytest_twin.diagnosis.structure_search.proposals import effort_sensor_terms
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.trial import Trial, make_trial
 
 STEP, TICK, SECONDS, NOISE = 0.001, 0.01, 2.0, 3e-4

@@ -11,7 +11,6 @@ import pytest
 from test_first_order import carried, link
 from two_pendulums import JOINTS, mjcf, record
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import read_effects
 from pytest_twin.diagnosis.patched.replay import replay_patched
@@ -23,6 +22,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import EFFECTS_FILE
 

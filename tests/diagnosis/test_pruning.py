@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from two_pendulums import mjcf, record
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.findings import build_explanation
 from pytest_twin.diagnosis.intervals import ParameterUncertainty
@@ -35,6 +34,7 @@ from pytest_twin.diagnosis.search.settings import ComparisonSettings
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel, fit
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.trial import Trial, make_trial
 
 

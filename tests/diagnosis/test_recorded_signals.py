@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from recorded_pendulum import Reality, cell
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.signal_meaning.effort import (
@@ -19,6 +18,7 @@ from pytest_twin.diagnosis.signal_meaning.effort import (
 )
 from pytest_twin.diagnosis.signal_meaning.velocity import velocity_fact, velocity_signal
 from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.loaded_model import find_model, load_model
 
 PERIOD = 0.004
 TIME = np.arange(0.0, 4.0, PERIOD)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from two_pendulums import START_NS
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.locate import smooth_motions
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
@@ -18,6 +17,7 @@ from pytest_twin.effects.memory_warmup import WARM_UP_TIME
 from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import read_recording, write_recording
 from pytest_twin.formats.recording import JointSeries
+from pytest_twin.loaded_model import load_model
 from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import RecordingOptions

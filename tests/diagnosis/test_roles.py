@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from two_pendulums import DECLARED, JOINTS, mjcf, record
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.loaded_model import load_model
 
 LEFT = JOINTS[:1]
 

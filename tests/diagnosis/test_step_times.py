@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from recorded_pendulum import Reality, cell
 
-from pytest_twin.commands.replay import find_model, load_model
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
@@ -21,6 +20,7 @@ from pytest_twin.diagnosis.signal_meaning.step_times import (
 )
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.estimation.hypothesis import EMPTY
+from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.trial import Trial
 
 STEPPING = Reality("interpolated", command_period=0.01, stepping=True)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from two_pendulums import mjcf, record
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.beam_search import CandidateSensitivities
 from pytest_twin.diagnosis.first_order.sensitivities import starting_grid
@@ -35,6 +34,7 @@ from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.loaded_model import load_model
 
 
 def problem_of(folder: Path, **hidden: float) -> Problem:

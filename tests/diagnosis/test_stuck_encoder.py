@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from test_integrator_detection import ARM, STEP, recorded
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
+from pytest_twin.loaded_model import load_model
 
 NAMES = ("shoulder", "elbow")
 HIDDEN = 3.0

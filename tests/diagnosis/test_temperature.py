@@ -11,11 +11,11 @@ import pytest
 from two_pendulums import DECLARED, mjcf, record
 
 from pytest_twin import cli
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.patched.model import read_effects
 from pytest_twin.diagnosis.temperature import cold_fraction_of_trial, cold_fractions_of
 from pytest_twin.errors import RecordingError, SpecError
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.trial import Trial, make_trial
 from pytest_twin.twin import EFFECTS_FILE
 

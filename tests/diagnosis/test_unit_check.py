@@ -10,10 +10,10 @@ import pytest
 from two_pendulums import JOINTS, KP, KV, STEP, mjcf, reference, simulate, write
 
 from pytest_twin import cli
-from pytest_twin.commands.replay import LoadedModel, load_model
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.errors import RecordingError
+from pytest_twin.loaded_model import LoadedModel, load_model
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.run import Run
@@ -16,6 +15,7 @@ from pytest_twin.diagnosis.search_recordings import search_shorter_windows
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem, search
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.diagnosis.window_length import model_follows_recordings
+from pytest_twin.loaded_model import load_model
 
 GRAVITY, NOISE = 9.81, 1e-4
 MODEL = f"""

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from two_pendulums import ARMATURE, DAMPING, INERTIA, KP, KV, LENGTH, MASS, mjcf, record
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.findings import Explanation
@@ -27,6 +26,7 @@ from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.estimation.hypothesis import EMPTY, Term
+from pytest_twin.loaded_model import load_model
 from pytest_twin.realization import Realization
 
 LAG, SHORT_LAG = 0.05, 0.01

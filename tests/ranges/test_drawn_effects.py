@@ -13,13 +13,13 @@ sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
 
 from two_pendulums import JOINTS, mjcf, record
 
-from pytest_twin.commands.replay import load_model
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
 from pytest_twin.effects import catalogue
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.formats.mcap import read_recording
+from pytest_twin.loaded_model import load_model
 from pytest_twin.ranges.gather import collect_uncertain_parameters
 from pytest_twin.ranges.run import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots
