@@ -14,6 +14,7 @@ from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.proposals import Actuation, fixed_base
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import Realization, load
+from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.twin import load_twin
 
 _TOOL = re.compile(r"(^|_)(tcp|tool0?|ee|ee_link|end_effector|gripper_?frame)$", re.IGNORECASE)
@@ -105,7 +106,9 @@ def first_specs(twin: str, progress: Any) -> dict[str, Any]:
     none: dict[str, str] = {}
     for done, kind in enumerate(kinds()):
         try:
-            found = check_of(kind).first(realization)
+            # Poses and amplitudes that a check tries and rejects may be unstable.
+            with suppress_mujoco_warnings():
+                found = check_of(kind).first(realization)
         except NothingToProposeError as reason:
             none[kind] = str(reason)
             continue

@@ -34,6 +34,20 @@ range="-1 1"/><geom type="box" size=".1 .1 .1" mass="2"/><site name="Spitze/ü" 
 </mujoco>
 """
 
+# Effort limits that nobody looked at: a torque of 1000 N*m on some grams is unstable.
+LIGHT = """\
+<robot name="light"><link name="base"/>
+<link name="upper"><inertial><origin xyz="0 0 -.08"/><mass value=".15"/>
+<inertia ixx="4e-4" ixy="0" ixz="0" iyy="4e-4" iyz="0" izz="3e-5"/></inertial></link>
+<link name="lower"><inertial><origin xyz="0 0 -.09"/><mass value=".03"/>
+<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-6"/></inertial></link>
+<joint name="hip" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="1 0 0"/>
+<limit effort="1000" lower="-1.57" upper="1.57" velocity="1000"/></joint>
+<joint name="knee" type="revolute"><parent link="upper"/><child link="lower"/><axis xyz="0 1 0"/>
+<origin xyz="0 -.04 -.16"/><limit effort="1000" lower="-3.1" upper="3.1" velocity="1000"/></joint>
+</robot>
+"""
+
 
 def environment(tmp_path: Path) -> dict[str, str]:
     state = {"XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_STATE_HOME": str(tmp_path / "state")}
@@ -59,6 +73,14 @@ def test_init_and_release_work_for_unusual_robots(text: str, tmp_path: Path) -> 
     released = run("pytest", "--twin-release", cwd=folder)
     assert released.returncode == 0, released.stdout[-3000:]
     assert "release 0001 signed" in released.stdout
+
+
+def test_trials_of_proposals_leave_no_log_of_the_simulator(tmp_path: Path) -> None:
+    folder = tmp_path / "twin"
+    folder.mkdir()
+    (folder / "robot.urdf").write_text(LIGHT)
+    assert run("pytest-twin", "init", "robot.urdf", cwd=folder).returncode == 0
+    assert not list(folder.glob("MUJOCO_LOG*"))
 
 
 def test_unnamed_joints_and_missing_frames_are_noted(tmp_path: Path) -> None:
