@@ -20,6 +20,11 @@ from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import load
 from pytest_twin.realization.coal_hull import convex_hull
 from pytest_twin.realization.collision import Shapes
+from pytest_twin.realization.collision_filter import (
+    are_excluded,
+    are_one_or_linked,
+    have_matching_masks,
+)
 from pytest_twin.realization.model import Realization
 
 BASE_POSE = "zeros, within the ranges"
@@ -319,17 +324,11 @@ def _near_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]
 
 def _allowed(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the pairs of geoms whose collision MuJoCo allows."""
-    contype, conaffinity = model.geom_contype, model.geom_conaffinity
-    first, second = pairs[:, 0], pairs[:, 1]
-    a, b = model.geom_bodyid[first], model.geom_bodyid[second]
-    weld, parent = model.body_weldid, model.body_parentid
-    above_a, above_b = weld[parent[weld[a]]], weld[parent[weld[b]]]
-    family = (weld[a] == weld[b]) | (weld[a] == above_b) | (weld[b] == above_a)
-    signature = (np.minimum(a, b).astype(np.int64) << 16) + np.maximum(a, b)
-    excluded = np.isin(signature, model.exclude_signature)
-    masked = (contype[first] & conaffinity[second]) | (contype[second] & conaffinity[first])
-    kept: NDArray[np.int64] = pairs[~family & ~excluded & (masked != 0)]
-    return kept
+    geoms = pairs[:, 0], pairs[:, 1]
+    bodies = model.geom_bodyid[geoms[0]], model.geom_bodyid[geoms[1]]
+    kept_apart = are_one_or_linked(model, *bodies) | are_excluded(model, *bodies)
+    allowed: NDArray[np.int64] = pairs[~kept_apart & have_matching_masks(model, *geoms)]
+    return allowed
 
 
 def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:

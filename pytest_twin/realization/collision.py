@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import coal
@@ -16,6 +16,11 @@ from scipy.spatial import ConvexHull, QhullError
 from pytest_twin.errors import ModelError
 from pytest_twin.realization import simulate
 from pytest_twin.realization.coal_hull import convex_hull, outward_faces
+from pytest_twin.realization.collision_filter import (
+    are_excluded,
+    are_one_or_linked,
+    have_matching_masks,
+)
 from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
@@ -225,27 +230,24 @@ def _disabling_reasons(realization: Realization) -> Iterator[tuple[tuple[str, st
     """Yield each pair of bodies that could collide, and the reason why it is disabled, or ''."""
     model = realization.model
     names = _body_names(realization)
-    excluded = _excluded_pairs(model)
     bodies = _bodies(model)
     explicit = {
         frozenset((int(first), int(second)))
         for first, second in zip(model.pair_geom1, model.pair_geom2, strict=True)
     }
     off = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT))
-    contype, conaffinity = model.geom_contype, model.geom_conaffinity
-    for a, b in _candidates(model, bodies):
-        paired = [frozenset((g, h)) in explicit for g in bodies[a] for h in bodies[b]]
-        masked = [
-            bool(contype[g] & conaffinity[h] or contype[h] & conaffinity[g])
-            for g in bodies[a]
-            for h in bodies[b]
-        ]
+    for a, b in combinations(sorted(bodies), 2):
+        if are_one_or_linked(model, a, b):
+            continue
+        geoms = list(product(bodies[a], bodies[b]))
+        paired = [frozenset(pair) in explicit for pair in geoms]
+        masked = have_matching_masks(model, *np.transpose(geoms))
         first, second = sorted((names[a], names[b]))
         if off:
             why = "the option contact='disable' keeps them apart"
-        elif (a, b) in excluded and not all(paired):
+        elif are_excluded(model, a, b) and not all(paired):
             why = "an exclude element keeps them apart"
-        elif not any(masked) and not any(paired):
+        elif not masked.any() and not any(paired):
             why = "contype and conaffinity keep them apart"
         elif not all(p or m for p, m in zip(paired, masked, strict=True)):
             why = _SOME_DISABLED
@@ -262,28 +264,6 @@ def _bodies(model: mujoco.MjModel) -> dict[int, list[int]]:
         if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired:
             bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
     return bodies
-
-
-def _candidates(model: mujoco.MjModel, bodies: dict[int, list[int]]) -> Iterator[tuple[int, int]]:
-    """Pairs of ``bodies`` that MuJoCo's built-in filters do not exclude."""
-    parents = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-    for a, b in combinations(sorted(bodies), 2):
-        weld_a, weld_b = int(model.body_weldid[a]), int(model.body_weldid[b])
-        if weld_a == weld_b:
-            continue
-        above_a = int(model.body_weldid[model.body_parentid[weld_a]])
-        above_b = int(model.body_weldid[model.body_parentid[weld_b]])
-        family = weld_a == above_b or weld_b == above_a
-        if not (parents and family and weld_a and weld_b):
-            yield a, b
-
-
-def _excluded_pairs(model: mujoco.MjModel) -> set[tuple[int, int]]:
-    pairs = set()
-    for signature in model.exclude_signature:
-        a, b = int(signature) >> 16, int(signature) & 0xFFFF
-        pairs.add((min(a, b), max(a, b)))
-    return pairs
 
 
 def _body_names(realization: Realization) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import combinations
+from itertools import combinations, product
 
 import mujoco
 import numpy as np
@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 from pytest_twin.asset.loss import shapes
 from pytest_twin.asset.loss.description import Description, JointFacts, LinkFacts
 from pytest_twin.asset.loss.shapes import Shape
+from pytest_twin.realization.collision_filter import (
+    are_excluded,
+    are_one_or_linked,
+    have_matching_masks,
+)
 from pytest_twin.realization.inertia import compiled_inertia
 from pytest_twin.realization.tree import inverse
 
@@ -318,23 +323,15 @@ def _disabled_pairs(
     model: mujoco.MjModel, geoms: Mapping[str, list[int]]
 ) -> frozenset[frozenset[str]]:
     """Return pairs of bodies with shapes whose collision MuJoCo disables."""
-    excluded = {int(signature) for signature in model.exclude_signature}
-    parents = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     found = set()
     index = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in geoms}
     for first, second in combinations(geoms, 2):
-        a, b = index[first], index[second]
-        weld_a, weld_b = int(model.body_weldid[a]), int(model.body_weldid[b])
-        above_a = int(model.body_weldid[model.body_parentid[weld_a]])
-        above_b = int(model.body_weldid[model.body_parentid[weld_b]])
-        family = parents and weld_a and weld_b and (weld_a == above_b or weld_b == above_a)
-        signature = (min(a, b) << 16) + max(a, b)
-        masked = not any(
-            model.geom_contype[g] & model.geom_conaffinity[h]
-            or model.geom_contype[h] & model.geom_conaffinity[g]
-            for g in geoms[first]
-            for h in geoms[second]
-        )
-        if weld_a == weld_b or family or signature in excluded or masked:
+        bodies = index[first], index[second]
+        pairs = np.transpose(list(product(geoms[first], geoms[second])))
+        if (
+            are_one_or_linked(model, *bodies)
+            or are_excluded(model, *bodies)
+            or not have_matching_masks(model, *pairs).any()
+        ):
             found.add(frozenset((first, second)))
     return frozenset(found)
