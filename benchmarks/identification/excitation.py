@@ -193,16 +193,21 @@ def flobaroid(checkout: Path) -> tuple[Realization, tuple[str, ...], JointStates
 
 def without_meshes(urdf: Path) -> Realization:
     """Load a robot without shapes, because the package with its meshes is not available."""
+    with tempfile.TemporaryDirectory() as scratch:
+        return load(without_meshes_file(urdf, Path(scratch)))
+
+
+def without_meshes_file(urdf: Path, out: Path) -> Path:
+    """Write a robot without shapes to a folder, and return its file."""
     from lxml import etree
 
     tree = etree.parse(urdf, etree.XMLParser(resolve_entities=False, no_network=True))
     for link in tree.iter("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
-    with tempfile.TemporaryDirectory() as scratch:
-        bare = Path(scratch) / urdf.name
-        tree.write(bare)
-        return load(bare)
+    bare = out / urdf.name
+    tree.write(bare)
+    return bare
 
 
 def tx40(source: Path) -> tuple[Realization, tuple[str, ...], JointStates]:

@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.findings import (
     limit_untested_confidence,
     order_by_whole_motions,
     with_gains,
+    with_unexplained_share,
 )
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.physical_totals import without_negative_totals
@@ -241,6 +242,7 @@ def _evaluate(
     explanation = limit_contradicted_confidence(explanation, notes)
     before, after = (residuals_everywhere(problem, h) for h in (EMPTY, at_tested.hypothesis))
     errors = joint_errors(prepared, before, after)
+    explanation = with_unexplained_share(explanation, errors)
     tested = replace(
         found,
         prepared=prepared,

@@ -19,7 +19,7 @@ from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, joint_nam
 from pytest_twin.diagnosis.search.pruning import PrunedModel
 from pytest_twin.diagnosis.search.scored_model import AlternativeEffects, SelectedModel
 from pytest_twin.diagnosis.small_corrections import small_corrections
-from pytest_twin.diagnosis.verdict import UNSEEN
+from pytest_twin.diagnosis.verdict import UNSEEN, JointError
 from pytest_twin.effects.base import Parameter
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.trial import Trial
@@ -235,6 +235,31 @@ def limit_contradicted_confidence(explanation: Explanation, notes: list[str]) ->
             )
             f = replace(f, confidence=min(f.confidence, FINDINGS.most_in_doubt))
         findings.append(f)
+    return replace(explanation, findings=tuple(findings))
+
+
+def with_unexplained_share(
+    explanation: Explanation, errors: Mapping[str, JointError]
+) -> Explanation:
+    """The same findings, with confidences times the explained share of the error at their joints.
+
+    A confidence compares effects of the catalogue with one another. A residual shows that something
+    outside of it acts at the joint, of which a finding may be an imitation. That something counts
+    by its share of the squared held-out error above the floor.
+
+    Args:
+        explanation: the findings.
+        errors: joint -> errors on the held-out recordings; for a finding of the whole robot the
+            joint with the largest unexplained share counts.
+    """
+    findings = []
+    for f in explanation.findings:
+        shares = [
+            0.0 if e.is_at_floor else e.fraction
+            for joint, e in errors.items() if f.joint in (None, joint)
+        ]  # fmt: skip
+        explained = 1.0 - max(shares, default=0.0)
+        findings.append(replace(f, confidence=explained * f.confidence))
     return replace(explanation, findings=tuple(findings))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +10,10 @@ import pytest
 from two_pendulums import DECLARED, JOINTS, mjcf, record
 
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
+from pytest_twin.diagnosis.findings import Explanation, with_unexplained_share
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.loaded_model import load_model
 
 LEFT = JOINTS[:1]
@@ -125,6 +127,26 @@ def test_a_finding_that_the_held_out_recordings_contradict_has_at_most_half_conf
         "viscous_friction at left: it improves the fitted recordings and makes the held-out error"
     )
     assert any(note.startswith(expected) for note in found.notes)
+
+
+def test_the_unexplained_share_of_the_error_at_a_joint_is_taken_from_the_confidence(
+    four: tuple[Recorded, Diagnosis],
+) -> None:
+    """Something outside the catalogue acts at the joint, and the finding may imitate it."""
+    explanation = four[1].explanation
+    (finding,) = explanation.findings
+    sure = replace(explanation, findings=(replace(finding, confidence=1.0),))
+    of_robot = replace(explanation, findings=(replace(finding, confidence=1.0, joint=None),))
+    noise, residual = (JointError(1.0, after, 0.01, "rad") for after in (0.01, 0.5))
+
+    def confidence(of: Explanation, **errors: JointError) -> float:
+        (found,) = with_unexplained_share(of, errors).findings
+        return found.confidence
+
+    assert confidence(sure, left=noise, right=residual) == 1.0
+    assert confidence(sure, left=residual, right=noise) == pytest.approx(0.75, abs=1e-3)
+    assert confidence(of_robot, left=noise, right=residual) == pytest.approx(0.75, abs=1e-3)
+    assert confidence(of_robot, left=noise, right=noise) == 1.0
 
 
 def test_validation_has_a_fifth_to_a_third_of_the_time_for_any_order_of_the_recordings(

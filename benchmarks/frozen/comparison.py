@@ -1,0 +1,275 @@
+"""Compare two files of answers row by row and by family, with one definition of "not worse".
+
+An answer is not worse if
+
+- its first name is right, or the old one was wrong too;
+- its held-out error is at most 1 % larger than the old one. It is the RMS over joints in noise
+  floors of the old answer, and an error below the floor counts as the floor. If the two answers
+  measured it on other samples (the error of the nominal model differs by more than 1 %), the
+  replayed held-out recordings of the written models decide;
+- it has no more false names of a confidence of 0.9 or above;
+- it took at most 10 % more simulations of all recordings;
+- the command ended, or the old one did not either.
+
+A row whose inputs differ, or that one of the files lacks, is not compared.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "concealed"))
+
+from family_score import SURE, is_effect, kind_of
+
+from frozen.answer import Answer
+
+LARGER = 1.01
+"""Largest ratio of held-out errors, new to old."""
+MORE_SIMULATIONS = 1.1
+"""Largest ratio of the numbers of simulations, new to old: their last fit may take a step more."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """An answer, judged by the truth of its row.
+
+    Attributes:
+        answer: the answer.
+        truth: the truth; without ``effects`` if nobody knows it.
+    """
+
+    answer: Answer
+    truth: Mapping[str, Any]
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the command wrote a result."""
+        return "verdict" in self.answer
+
+    @property
+    def names(self) -> list[dict[str, Any]]:
+        """Findings without laws that have no name, the largest first."""
+        findings = self.answer.get("findings", [])
+        return [f for f in findings if not f["effect"].startswith("unnamed_")]
+
+    @property
+    def first_is_right(self) -> bool | None:
+        """Whether the first name is the largest hidden effect, or nothing where none is hidden.
+
+        None where nobody knows, and where no hidden effect changes the readings.
+        """
+        if "effects" not in self.truth or ("findings" not in self.answer and self.has_ended):
+            return None
+        hidden = sorted(
+            (e for e in self.truth["effects"] if e["visibility"] >= 1.0),
+            key=lambda e: -float(e["visibility"]),
+        )
+        if not hidden:
+            return None if self.truth["effects"] else not self.names
+        return bool(self.names) and is_effect(self.names[0], hidden[0])
+
+    @property
+    def right_at_sure(self) -> int:
+        """Number of names at 0.9 and above that are right or background."""
+        return self._count_sure(of_false=False)
+
+    @property
+    def false_at_sure(self) -> int:
+        """Number of false names at 0.9 and above."""
+        return self._count_sure(of_false=True)
+
+    def _count_sure(self, *, of_false: bool) -> int:
+        if "effects" not in self.truth:
+            return 0
+        truth = {"background": [], **self.truth}
+        sure = [f for f in self.names if f["confidence"] >= SURE]
+        return sum((kind_of(f, truth) == "false") is of_false for f in sure)
+
+    @property
+    def is_alone(self) -> bool | None:
+        """For one hidden law: its name at 0.9, or equal shares with laws that predict the same.
+
+        No other name may be there. None for other families.
+        """
+        if self.truth.get("family") != "one_law":
+            return None
+        (hidden,) = self.truth["effects"]
+        same = {(hidden["effect"], hidden["joint"]), *map(tuple, hidden["equivalents"])}
+        if len(self.names) != 1:
+            return False
+        (found,) = self.names
+        shares: dict[tuple[str, str | None], float] = defaultdict(float)
+        for one in (found, *found["alternatives"]):
+            shares[one["effect"], one.get("joint")] += one["confidence"]
+        true = shares[hidden["effect"], hidden["joint"]]
+        of_same = [share for name, share in shares.items() if name in same]
+        return bool(
+            (found["effect"], found["joint"]) in same
+            and sum(of_same) >= SURE
+            and true >= 0.5 * max(of_same)
+        )
+
+    @property
+    def removed(self) -> float | None:
+        """Removed share of the squared held-out error above the floor."""
+        before = after = 0.0
+        for error in self.answer.get("held_out", {}).values():
+            if "rms_before" not in error or None in error.values():
+                continue
+            floor = error["floor"] ** 2
+            before += max(error["rms_before"] ** 2 - floor, 0.0) / floor
+            after += max(error["rms_after"] ** 2 - floor, 0.0) / floor
+        return None if before < 1.0 else 1.0 - after / before
+
+    @property
+    def intervals(self) -> list[bool]:
+        """Whether each 95 % interval of a right finding contains the true value."""
+        inside = []
+        for finding in self.names:
+            for effect in self.truth.get("effects", []):
+                if (finding["effect"], finding["joint"]) != (effect["effect"], effect["joint"]):
+                    continue
+                for name, parameter in finding["parameters"].items():
+                    true, bounds = effect["parameters"].get(name), parameter.get("ci95")
+                    if true is not None and bounds and None not in bounds:
+                        inside.append(bool(bounds[0] <= true <= bounds[1]))
+        return inside
+
+
+def worse(old: Judged, new: Judged) -> list[str]:
+    """Return in what the new answer is worse, in words; empty if it is not worse."""
+    if not new.has_ended:
+        return [f"no result (exit status {new.answer['status']})"] if old.has_ended else []
+    if not old.has_ended:
+        return []
+    out = []
+    if old.first_is_right and not new.first_is_right:
+        out.append("the first name is not right any more")
+    if new.false_at_sure > old.false_at_sure:
+        out.append(f"{new.false_at_sure} false names at {SURE:g} instead of {old.false_at_sure}")
+    error = error_ratio(old.answer, new.answer)
+    if error is not None and error > LARGER:
+        out.append(f"held-out error times {error:.3g}")
+    taken = [answer.answer.get("simulations") for answer in (old, new)]
+    if all(taken) and taken[1] > MORE_SIMULATIONS * taken[0]:
+        out.append(f"{taken[1]:.0f} simulations instead of {taken[0]:.0f}")
+    return out
+
+
+def error_ratio(old: Answer, new: Answer) -> float | None:
+    """Return the ratio of held-out errors, new to old; None if they cannot be compared."""
+    both = [
+        (old["held_out"][j], new["held_out"][j]) for j in old["held_out"] if j in new["held_out"]
+    ]
+    if both and "effort_relative" in both[0][0]:
+        pairs = [(a["effort_relative"], b["effort_relative"]) for a, b in both]
+        return _ratio([(a, b) for a, b in pairs if a and b])
+    known = [(a, b) for a, b in both if None not in (*a.values(), *b.values())]
+    if len(known) == len(old["held_out"]) and all(
+        math.isclose(a["rms_before"], b["rms_before"], rel_tol=LARGER - 1.0) for a, b in known
+    ):
+        return _ratio(
+            [
+                (max(a["rms_after"] / a["floor"], 1.0), max(b["rms_after"] / a["floor"], 1.0))
+                for a, b in known
+            ]
+        )
+    floors = {joint: error["floor"] for joint, error in old["held_out"].items()}
+    pairs = []
+    for recording, errors in old.get("replayed", {}).items():
+        again = new.get("replayed", {}).get(recording)
+        if again is None:
+            return math.inf
+        pairs += [
+            (max(errors[j][0] / floor, 1.0), max(again[j][0] / floor, 1.0))
+            for j, floor in floors.items() if j in errors and j in again and floor
+        ]  # fmt: skip
+    return _ratio(pairs)
+
+
+def _ratio(pairs: Sequence[tuple[float, float]]) -> float | None:
+    if not pairs:
+        return None
+    old, new = (math.sqrt(sum(p[k] ** 2 for p in pairs) / len(pairs)) for k in (0, 1))
+    return new / old if old else None
+
+
+def table(rows: Sequence[tuple[str, Judged, Judged | None]]) -> Iterator[str]:
+    """Yield a line for each row, then figures pooled by family; without new answers the old."""
+    for name, old, new in rows:
+        words = _described(old) if new is None else f"{_described(old)} -> {_described(new)}"
+        verdict = "" if new is None else "; ".join(worse(old, new)) or "not worse"
+        yield f"{name}: {words}{f': {verdict}' if verdict else ''}"
+    families: dict[str, list[tuple[Judged, Judged | None]]] = defaultdict(list)
+    for name, old, new in rows:
+        problem, _, limit = name.rpartition("@")
+        families[f"{problem.partition('/')[0]}, limit {limit}"].append((old, new))
+    yield ""
+    yield "| family | figure | old | new |"
+    yield "|---|---|---|---|"
+    for family, answers in sorted(families.items()):
+        columns = [[old for old, _ in answers], [new for _, new in answers if new is not None]]
+        for figure, values in zip(FIGURES, zip(*map(_pooled, columns), strict=True), strict=True):
+            yield f"| {family} | {figure} | {values[0]} | {values[1]} |"
+
+
+FIGURES = (
+    "rows with a result", "first name right", "one law, alone or in equal shares",
+    "right names at 0.9 and above", "false names at 0.9 and above",
+    "explainable held-out squared error removed, median", "95 % intervals that hold the truth",
+    "simulations, median", "processor time, median",
+)  # fmt: skip
+
+
+def _pooled(column: Sequence[Judged]) -> list[str]:
+    firsts = [j.first_is_right for j in column if j.first_is_right is not None]
+    alone = [j.is_alone for j in column if j.is_alone is not None]
+    inside = [value for j in column for value in j.intervals]
+    removed = [j.removed for j in column if j.removed is not None]
+    simulations = [j.answer["simulations"] for j in column if j.answer.get("simulations")]
+    seconds = [j.answer["processor_seconds"] for j in column]
+    sure = sum(j.right_at_sure + j.false_at_sure for j in column)
+    return [
+        f"{sum(j.has_ended for j in column)} of {len(column)}",
+        f"{sum(firsts)} of {len(firsts)}",
+        f"{sum(alone)} of {len(alone)}",
+        f"{sum(j.right_at_sure for j in column)} of {sure}",
+        f"{sum(j.false_at_sure for j in column)} of {sure}",
+        f"{100.0 * np.median(removed):.1f} % of {len(removed)}" if removed else "none",
+        f"{sum(inside)} of {len(inside)}",
+        f"{np.median(simulations):.0f}" if simulations else "none",
+        f"{np.median(seconds):.0f} s" if seconds else "none",
+    ]
+
+
+def _described(judged: Judged) -> str:
+    """Return findings, held-out error and cost of an answer in a few words."""
+    answer = judged.answer
+    if not judged.has_ended:
+        return f"no result ({answer['status']})"
+    names = ", ".join(
+        f"{f['effect']} {f['joint'] or ''}".strip() + f" {f['confidence']:.2f}"
+        for f in judged.names
+    )
+    if "stages" in answer:
+        errors = " ".join(
+            f"{100.0 * e['effort_relative']:.1f}"
+            for e in answer["held_out"].values() if e.get("effort_relative") is not None
+        )  # fmt: skip
+        return f"{answer['verdict']}, effort errors {errors} %"
+    floors = [
+        e["rms_after"] / e["floor"] for e in answer["held_out"].values()
+        if e["rms_after"] is not None and e["floor"]
+    ]  # fmt: skip
+    right = {True: "right", False: "wrong", None: "not judged"}[judged.first_is_right]
+    worst = f"{max(floors):.2g} floors" if floors else "no error known"
+    return f"{names or 'nothing'} ({right}), {answer['verdict']}, {worst}"
