@@ -116,15 +116,15 @@ def replayed(model: Path, recordings: Sequence[Path]) -> dict[str, dict[str, lis
     Errors are in rad or m, of one simulation from the first state. A recording that the model
     cannot replay is not there.
     """
-    from pytest_twin.commands.replay import find_model, load_model
     from pytest_twin.diagnosis.patched.model import PatchedModel
     from pytest_twin.diagnosis.patched.replay import replay_patched
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.errors import TwinError
+    from pytest_twin.loaded_model import load_model
 
     out: dict[str, dict[str, list[float]]] = {}
     try:
-        loaded = load_model(find_model(model))
+        loaded = load_model(model)
         patched = loaded.patched or PatchedModel(tuple(loaded.realization.joints))
     except TwinError:
         return out
