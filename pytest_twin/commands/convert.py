@@ -30,6 +30,7 @@ from pytest_twin.formats.ros_serialization import QUANTITIES
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import COMMAND_MODES, RecordingOptions
 from pytest_twin.report.text import printable
+from pytest_twin.trial.stream_checks import doubts
 
 HELP = "write recordings of any kind as MCAP files with joint states and joint commands"
 EXAMPLES = (
@@ -189,6 +190,7 @@ def convert_series(
                 effort=command.effort if mode == "effort" else None,
             )
             notes.append(f"the commands are taken as {mode} commands")
+    notes += doubts(replace(recording, series=series))
     earliest = min(int(one.stamp.min()) for one in series.values())
     earliest = min(earliest, *(int(one.log_time.min()) for one in series.values()))
     shift = -(earliest // _SECOND) * _SECOND if earliest < 0 else 0

@@ -16,12 +16,6 @@ class TrialSettings:
     Attributes:
         one_held_out_of: one of this many recordings is held out if neither the user nor the
             metadata chooses.
-        follows: smallest correlation of states with commands at which their ratio can be one of
-            units.
-        unit_deviation: largest relative deviation of that ratio from the ratio of a unit.
-        least_counts: smallest ratio of states to commands that encoder counts have.
-        at_stop: distance to an end of its range, rad or m, within which a joint is held by its
-            mechanical stop.
         stuck_share: share of a recording with a constant position under a moving command from which
             an encoder counts as stuck.
         held_sweep: dry friction holds a joint against a limited tracking error. If the error varies
@@ -38,10 +32,6 @@ class TrialSettings:
     """
 
     one_held_out_of: int = 4
-    follows: float = 0.9
-    unit_deviation: float = 0.15
-    least_counts: float = 100.0
-    at_stop: float = 0.05
     stuck_share: float = 0.6
     held_sweep: float = 2.0
     least_travel: float = 0.2

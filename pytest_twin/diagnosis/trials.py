@@ -82,7 +82,6 @@ def read_trials(
             for trial in parts:
                 try:
                     _refuse_too_few(trial)
-                    _refuse_other_unit(trial, structure)
                 except TwinError as error:
                     first_error = first_error or error
                     notes.append(f"left out: {error}")
@@ -243,7 +242,7 @@ def _exclude_stuck_encoders(
         for m in trial.marks:
             if m.kind == "stuck" and m.joint is not None:
                 still[m.joint] = still.get(m.joint, 0.0) + m.end - m.start
-        return {
+        return _copied(trial) | {
             j
             for j, seconds in still.items()
             if seconds > TRIALS.stuck_share * trial.duration and not _friction_could_hold(trial, j)
@@ -253,8 +252,9 @@ def _exclude_stuck_encoders(
     sound = [t for t in trials if not stuck(t)]
     if sound:
         for t in bad:
+            why = "copies the commands" if stuck(t) <= _copied(t) else "is stuck"
             notes.append(
-                f"left out: {t.path}: the encoder of {', '.join(sorted(stuck(t)))} is stuck"
+                f"left out: {t.path}: the encoder of {', '.join(sorted(stuck(t)))} {why}"
             )
         return sound, frozenset()
     joints = frozenset(j for t in bad for j in stuck(t))
@@ -265,9 +265,15 @@ def _exclude_stuck_encoders(
             value=", ".join(sorted(joints)),
             expected="positions that follow the commands",
         )
-    notes += [f"joint {j!r}: its encoder is stuck; its error is not evaluated" for j in
-              sorted(joints)]  # fmt: skip
+    for j in sorted(joints):
+        why = "copies its command" if any(j in _copied(t) for t in bad) else "is stuck"
+        notes.append(f"joint {j!r}: its encoder {why}; its error is not evaluated")
     return trials, joints
+
+
+def _copied(trial: Trial) -> set[str]:
+    """Joints whose positions are copies of their commands."""
+    return {m.joint for m in trial.marks if m.kind == "copied" and m.joint is not None}
 
 
 def _exclude_stuck_in_test(
@@ -360,56 +366,6 @@ def _refuse_too_few(trial: Trial) -> None:
             value=str(count),
             expected=f"at least {TRIALS.fewest_samples}, each at a different time",
         )
-
-
-def _is_held_by_its_stop(trial: Trial, joint: str, structure: Structure) -> bool:
-    """Whether a joint is at one end of its range all the time, so that commands hardly move it."""
-    ends = structure.joint_range.get(joint)
-    if ends is None:
-        return False
-    position = trial.position[:, trial.joints.index(joint)]
-    return bool(
-        (position < ends[0] + TRIALS.at_stop).all() or (position > ends[1] - TRIALS.at_stop).all()
-    )
-
-
-def _refuse_other_unit(trial: Trial, structure: Structure) -> None:
-    """Refuse positions that follow the commands in a constant ratio far from one.
-
-    Such a ratio shows another unit, unless a mechanical stop holds the joint.
-
-    Raises:
-        RecordingError: the ratio is that of degrees, or far from one.
-    """
-    for column, joint in enumerate(trial.joints):
-        if trial.mode_of(joint) != "position" or _is_held_by_its_stop(trial, joint, structure):
-            continue
-        sent = trial.commands_before(trial.time)[:, trial.command_joints.index(joint)]
-        sent, seen = (
-            sent - sent.mean(),
-            trial.position[:, column] - trial.position[:, column].mean(),
-        )
-        power = float(sent @ sent)
-        both = np.sqrt(power * float(seen @ seen))
-        if both <= 0.0 or float(sent @ seen) / both < TRIALS.follows:
-            continue
-        ratio = float(sent @ seen) / power
-        for factor, name in ((np.degrees(1.0), "degrees"), (np.radians(1.0), "radians")):
-            if abs(np.log(ratio / factor)) < TRIALS.unit_deviation:
-                raise RecordingError(
-                    f"states move {ratio:.3g} times as far as commands: they seem to be in {name}",
-                    path=trial.path,
-                    where=f"joint '{joint}'",
-                    expected="states and commands in rad (m for a sliding joint)",
-                )
-        if ratio > TRIALS.least_counts or ratio < 1.0 / TRIALS.least_counts:
-            raise RecordingError(
-                f"states move {ratio:.3g} times as far as commands: they seem to be in encoder "
-                "counts",
-                path=trial.path,
-                where=f"joint '{joint}'",
-                expected="states and commands in rad (m for a sliding joint)",
-            )
 
 
 def _notes_on_clipped_velocities(trial: Trial) -> list[str]:

@@ -19,6 +19,7 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 from pytest_twin.trial import recordings_at
 from pytest_twin.trial.command_field import choose_command_fields
+from pytest_twin.trial.dropouts import without_dropouts
 from pytest_twin.trial.floating_base import check_floating_base
 from pytest_twin.trial.joint_side import (
     add_shared_efforts,
@@ -29,6 +30,7 @@ from pytest_twin.trial.joint_side import (
 from pytest_twin.trial.joints import in_model_names, metres_of_slides
 from pytest_twin.trial.repeated_states import own_samples
 from pytest_twin.trial.roles import refuse_final
+from pytest_twin.trial.stream_checks import check_copies, refuse_other_scale
 from pytest_twin.trial.table import kept_commands, stamp_order
 from pytest_twin.trial.unwrap_joints import RecordedMotion, unwrap_joints
 
@@ -131,12 +133,14 @@ def read_measured(
     found = []
     for recording in recordings_at(path, topics, replace(options, signals=signals)):
         refuse_final(recording.metadata, path, "an identification")
-        series = _commands_or_states(recording, "state", realization, topics, options)
+        recording = without_dropouts(recording)
+        series, named = _commands_or_states(recording, "state", realization, topics, options)
         loose = check_floating_base(realization.structure, series.names, recording.path)
         commanded, notes = _commands_at_states(recording, series, realization, topics, options)
         at_joints = _at_joints(series, commanded, recording, signals)
-        whole = _in_model(_unwrapped(at_joints, series.topic, realization, signals), realization)
-        found += _stretches(replace(whole, notes=(*whole.notes, *notes, *loose)))
+        whole = _in_model(_checked_and_unwrapped(at_joints, series.topic, realization, signals), realization)
+        before = (*recording.notes, *named)
+        found += _stretches(replace(whole, notes=(*before, *whole.notes, *notes, *loose)))
     return found
 
 
@@ -146,7 +150,8 @@ def _commands_or_states(
     realization: Realization,
     topics: Mapping[str, str],
     options: RecordingOptions,
-) -> JointSeries:
+) -> tuple[JointSeries, list[str]]:
+    """Return the topic of a role with the model's names, and notes on joints that are left out."""
     series = recording.series.get(role)
     if series is None or not len(series.stamp):
         raise RecordingError(
@@ -156,8 +161,8 @@ def _commands_or_states(
             expected="positions and efforts of the joints; map the topic in twin.yaml or by "
             "--topics state=/x",
         )
-    named, _ = in_model_names(series, options.joints, realization.joints, recording.path)
-    named, _ = metres_of_slides(named, realization.structure.joint_type)
+    named, notes = in_model_names(series, options.joints, realization.joints, recording.path)
+    named, in_metres = metres_of_slides(named, realization.structure.joint_type)
     if named.position is None and role == "state":
         raise RecordingError(
             "no state has positions",
@@ -165,7 +170,7 @@ def _commands_or_states(
             where=series.topic,
             expected="positions of the joints, rad or m",
         )
-    return named
+    return named, [*notes, *in_metres]
 
 
 def _commands_at_states(
@@ -182,7 +187,7 @@ def _commands_at_states(
     if "command" not in recording.series:
         return {}, []
     try:
-        commands = _commands_or_states(recording, "command", realization, topics, options)
+        commands, _ = _commands_or_states(recording, "command", realization, topics, options)
         commanded = choose_command_fields(commands, realization.structure, options, recording.path)
     except RecordingError as error:
         if not _measures(states):
@@ -280,13 +285,14 @@ def _at_joints(
     )
 
 
-def _unwrapped(
+def _checked_and_unwrapped(
     read: MeasuredRecording, topic: str, realization: Realization, signals: Signals
 ) -> MeasuredRecording:
     """Return the recording with all turns of its revolute joints.
 
     Raises:
-        RecordingError: the number of turns cannot be determined.
+        RecordingError: the number of turns cannot be determined, or positions are copies of their
+            commands or have another unit.
     """
     position = read.position.copy()
     command = np.empty((0, 0)) if read.command is None else read.command.copy()
@@ -295,7 +301,10 @@ def _unwrapped(
         read.path, topic, read.joints, read.time, position,
         read.time[: len(command)], command, columns,
     )  # fmt: skip
+    refuse_other_scale(motion, realization.structure.joint_range)
     notes = unwrap_joints(motion, realization.structure, signals)
+    _, copied = check_copies(motion)
+    notes += copied
     if not notes:
         return read
     return replace(

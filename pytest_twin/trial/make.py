@@ -29,12 +29,14 @@ from pytest_twin.trial.command_span import (
     within_commands,
     without_other_modes,
 )
+from pytest_twin.trial.dropouts import without_dropouts
 from pytest_twin.trial.floating_base import check_floating_base
 from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
 from pytest_twin.trial.joints import in_model_names, metres_of_slides, name_by_actuators
 from pytest_twin.trial.recording_checks import RecordingChecks
 from pytest_twin.trial.repeated_states import own_samples
+from pytest_twin.trial.stream_checks import check_copies, refuse_other_scale
 from pytest_twin.trial.table import (
     StateRows,
     kept_commands,
@@ -98,6 +100,7 @@ def make_trial(
 def _whole(
     recording: Recording, structure: Structure | None, options: RecordingOptions
 ) -> list[Trial]:
+    recording = without_dropouts(recording)
     joints = None if structure is None else structure.joint_type.keys()
     notes: list[str] = list(recording.notes)
     topics = []
@@ -220,23 +223,26 @@ class _Maker:
         position = rows.fields["position"]
         assert position is not None
         command_time, command, own = self.commands(commands, start)
+        positions = {
+            joint: at
+            for at, joint in enumerate(self.commanded.joints)
+            if self.commanded.modes[at] == "position"
+        }
+        motion = RecordedMotion(
+            self.recording.path, topic, joints, time, position, command_time, command, positions
+        )
+        ranges = None if self.structure is None else self.structure.joint_range
+        refuse_other_scale(motion, ranges)
         for column, joint in enumerate(joints):
             self.checks.refuse_other_unit(joint, position[:, column], topic)
-        for at, (joint, mode) in enumerate(
-            zip(self.commanded.joints, self.commanded.modes, strict=True)
-        ):
-            if mode == "position":
-                self.checks.refuse_other_unit(joint, command[:, at], commands.series.topic)
+        for joint, at in positions.items():
+            self.checks.refuse_other_unit(joint, command[:, at], commands.series.topic)
         if self.structure is not None:
-            positions = {
-                joint: at
-                for at, joint in enumerate(self.commanded.joints)
-                if self.commanded.modes[at] == "position"
-            }
-            motion = RecordedMotion(
-                self.recording.path, topic, joints, time, position, command_time, command, positions
-            )
             self.notes += unwrap_joints(motion, self.structure, self.signals)
+        copies, copied = check_copies(motion)
+        self.notes += copied
+        for joint in copies:
+            self.checks.mark("copied", topic, joint, time[0], time[-1], "copies of its commands")
         self.note_twice(topic, time)
         self.note_twice(commands.series.topic, command_time)
         self.checks.note_gaps(stamps_of_densest_joint(time, np.isfinite(position)), topic)

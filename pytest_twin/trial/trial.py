@@ -16,7 +16,7 @@ from pytest_twin.trial.setpoint import Setpoint, setpoint
 
 MarkKind = Literal[
     "gap", "duplicate_stamp", "unordered_stamp", "outlier", "stuck", "unavailable", "beyond_range",
-    "damage",
+    "copied", "damage",
 ]  # fmt: skip
 
 
@@ -28,7 +28,8 @@ class Mark:
         kind: ``gap`` (missing samples), ``duplicate_stamp``, ``unordered_stamp`` (sorted by stamp),
             ``outlier`` (one sample far from the line between its neighbours), ``stuck`` (an encoder
             that does not change while its command moves), ``unavailable`` (an empty field),
-            ``beyond_range`` (outside the joint's range), ``damage`` (of the file).
+            ``beyond_range`` (outside the joint's range), ``copied`` (positions that are copies of
+            their commands), ``damage`` (of the file).
         topic: the topic, None for the file.
         joint: the joint, None for all.
         start, end: s from the first state.

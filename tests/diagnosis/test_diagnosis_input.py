@@ -156,7 +156,7 @@ def test_a_recording_too_short_for_a_noise_estimate_is_left_out(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("factor", "words"),
-    [(np.degrees(1.0), "seem to be in degrees"), (4096 / (2 * np.pi), "to be in encoder counts")],
+    [(np.degrees(1.0), "positions were in degrees"), (4096 / (2 * np.pi), "positions were in encoder counts")],
     ids=["degrees", "encoder counts"],
 )
 def test_states_in_another_unit_than_the_commands_are_refused(
@@ -179,7 +179,7 @@ def test_a_joint_held_at_its_stop_is_not_taken_for_another_unit(
     structure = bench.loaded.realization.structure
     bounded = replace(structure, joint_range={**structure.joint_range, "left": (-2.0, 0.3)})
     if end is None:
-        with pytest.raises(RecordingError, match="seem to be in encoder counts"):
+        with pytest.raises(RecordingError, match="commands were in encoder counts"):
             read_trials([path], (), bench.loaded.topics, bounded)
     else:
         assert names(read_trials([path], (), bench.loaded.topics, bounded).fit) == ["a.mcap"]

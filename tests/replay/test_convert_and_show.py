@@ -290,7 +290,7 @@ def test_show_writes_gaps_rates_and_advice_as_json(
     time = np.concatenate([TIME[:100], TIME[100:] + 0.5])
     position = np.column_stack([np.sin(3 * time), np.zeros(200)])
     late = series("/joint_states", JOINTS, time, position=position)
-    sent = series("/joint_commands", JOINTS, time, position=position)
+    sent = series("/joint_commands", JOINTS, time, position=position + 1e-3)
     write_recording(tmp_path / "moves.mcap", [late, sent])
     document = json.loads(output_of_show(tmp_path / "moves.mcap", capsys, "--json", "-"))
     (one,) = document["recordings"]

@@ -19,6 +19,8 @@ from pytest_twin.trial.common_stamps import resample_to_common_stamps
 COUNT = 400
 TIME = 0.01 * np.arange(COUNT)
 MOTION = np.column_stack([0.8 * np.sin(3.0 * TIME), 0.5 * np.cos(2.0 * TIME)])
+SENT = MOTION + 0.002
+"""rad. Commands; the joints follow with an error, because they are measured."""
 
 
 def structure(
@@ -45,7 +47,7 @@ def states(names: tuple[str, ...] = ("j1", "j2"), **fields: np.ndarray) -> Joint
 
 
 def commands(names: tuple[str, ...] = ("j1", "j2"), **fields: np.ndarray) -> JointSeries:
-    return series("/joint_commands", names, TIME, **(fields or {"position": MOTION}))
+    return series("/joint_commands", names, TIME, **(fields or {"position": SENT}))
 
 
 def split_messages(one: JointSeries, late: float) -> JointSeries:
@@ -135,7 +137,7 @@ def test_messages_of_different_joints_with_equal_stamps_are_merged() -> None:
     assert np.array_equal(made.position, MOTION)
     assert made.is_dense
     assert "800 messages of different joints and one stamp taken together" in note(made, "together")
-    assert np.array_equal(made.setpoint.at(made.time), MOTION)
+    assert np.array_equal(made.setpoint.at(made.time), SENT)
 
 
 def test_joints_with_different_stamps_keep_their_own_samples() -> None:
@@ -170,8 +172,8 @@ def test_a_command_message_for_one_joint_keeps_the_other_joints_command() -> Non
     made = make_trial(recording(states(), split_messages(commands(), 0.004)), structure())
     for at in (0.5, 1.234, 3.7):
         (sent,) = made.commands_before(np.array([at]))
-        assert sent[0] == MOTION[int(np.floor(at / 0.01 + 1e-6)), 0]
-        assert sent[1] == MOTION[int(np.floor((at - 0.004) / 0.01 + 1e-6)), 1]
+        assert sent[0] == SENT[int(np.floor(at / 0.01 + 1e-6)), 0]
+        assert sent[1] == SENT[int(np.floor((at - 0.004) / 0.01 + 1e-6)), 1]
     assert not any(m.kind == "gap" for m in made.marks)
 
 
@@ -249,31 +251,31 @@ def test_repeated_identical_messages_are_one_sample_with_a_note() -> None:
     ("takes", "mode"), [("position", "position"), ("velocity", "velocity"), ("effort", "effort")]
 )
 def test_the_models_actuator_decides_which_command_field_is_used(takes: str, mode: str) -> None:
-    both = commands(position=MOTION, velocity=2.0 * MOTION, effort=3.0 * MOTION)
+    both = commands(position=SENT, velocity=2.0 * SENT, effort=3.0 * SENT)
     made = make_trial(recording(states(), both), structure(dict.fromkeys(("j1", "j2"), (takes,))))
     assert made.command_mode == mode
     factor = {"position": 1.0, "velocity": 2.0, "effort": 3.0}[mode]
-    assert np.array_equal(made.command, factor * MOTION)
+    assert np.array_equal(made.command, factor * SENT)
     assert f"{mode} commands count at j1, j2" in note(made, "count")
 
 
 def test_each_joint_may_have_its_own_command_mode() -> None:
     nan = np.full(COUNT, np.nan)
     mixed = commands(
-        position=np.column_stack([nan, MOTION[:, 1]]), effort=np.column_stack([MOTION[:, 0], nan])
+        position=np.column_stack([nan, SENT[:, 1]]), effort=np.column_stack([SENT[:, 0], nan])
     )
     made = make_trial(
         recording(states(), mixed), structure({"j1": ("effort",), "j2": ("position",)})
     )
     assert (made.command_mode, made.command_modes) == ("mixed", ("effort", "position"))
-    assert np.array_equal(made.command, MOTION)
+    assert np.array_equal(made.command, SENT)
     assert made.notes == ()
 
 
 def test_effort_commands_of_a_position_servo_are_left_out_with_a_note() -> None:
     nan = np.full(COUNT, np.nan)
     mixed = commands(
-        position=np.column_stack([nan, MOTION[:, 1]]), effort=np.column_stack([MOTION[:, 0], nan])
+        position=np.column_stack([nan, SENT[:, 1]]), effort=np.column_stack([SENT[:, 0], nan])
     )
     made = make_trial(recording(states(), mixed), structure())
     assert (made.command_joints, made.command_modes) == (("j2",), ("position",))
@@ -284,7 +286,7 @@ def test_effort_commands_of_a_position_servo_are_left_out_with_a_note() -> None:
 
 
 def test_a_declared_command_mode_overrides_the_model() -> None:
-    both = commands(position=MOTION, velocity=MOTION)
+    both = commands(position=SENT, velocity=MOTION)
     made = make_trial(
         recording(states(), both), structure(), RecordingOptions(command_mode={"j1": "velocity"})
     )
@@ -299,7 +301,7 @@ def test_a_declared_command_mode_overrides_the_model() -> None:
 
 def test_without_a_model_command_fields_that_are_all_zero_are_not_used() -> None:
     zero = np.zeros_like(MOTION)
-    made = make_trial(recording(states(), commands(position=MOTION, velocity=zero, effort=zero)))
+    made = make_trial(recording(states(), commands(position=SENT, velocity=zero, effort=zero)))
     assert made.command_mode == "position"
     assert "the others are zero; not used: velocity and effort" in made.notes[0]
 
@@ -490,7 +492,7 @@ def test_messages_missing_in_one_topic_are_marked_as_a_gap(topic: str) -> None:
 
 def test_a_gap_in_slow_commands_during_a_gap_in_states_cuts_the_recording() -> None:
     sent = commands()
-    slow = replace(sent, stamp=sent.stamp[::10], log_time=sent.stamp[::10], position=MOTION[::10])
+    slow = replace(sent, stamp=sent.stamp[::10], log_time=sent.stamp[::10], position=SENT[::10])
     # 0.3 s of states at 100 Hz, three commands at 10 Hz.
     read = recording(without(states(), 151, 181), without(slow, 16, 19))
     assert len(make_trials(read, structure())) == 2
@@ -499,7 +501,7 @@ def test_a_gap_in_slow_commands_during_a_gap_in_states_cuts_the_recording() -> N
 def test_rare_step_commands_do_not_cut_the_recording() -> None:
     sent = np.array([0, 7, 60, 200, 213, 300, 380])
     one = commands()
-    rare = replace(one, stamp=one.stamp[sent], log_time=one.stamp[sent], position=MOTION[sent])
+    rare = replace(one, stamp=one.stamp[sent], log_time=one.stamp[sent], position=SENT[sent])
     assert len(make_trials(recording(states(), rare), structure())) == 1
 
 

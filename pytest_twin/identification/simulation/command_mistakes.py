@@ -17,8 +17,6 @@ _FOLLOWS = 0.7
 _FAR = 8.0
 """Ratio of the changes of position and command that no servo explains. Friction leaves 0.2 of small
 commands of an SO-101 arm."""
-_LIKE = 0.1
-"""Largest relative distance of that ratio from the one between degrees and radians."""
 _LATEST, _LAGS = 0.2, 20
 """Largest time, s, by which a position may follow its command late, and number of times tried."""
 _MOVED = 1e-3
@@ -52,14 +50,9 @@ def command_mistakes(trials: Sequence[Trial]) -> list[InputMistake]:
                 "way, else the sign of the recorded command",
             ))  # fmt: skip
         elif correlation > _FOLLOWS and abs(math.log(ratio)) > math.log(_FAR):
-            degrees = abs(max(ratio, 1.0 / ratio) * math.pi / 180.0 - 1.0) < _LIKE
-            whose = "position" if ratio > 1.0 else "command"
-            said = f"the {whose} seems to be in degrees" if degrees else (
-                "another unit, or the other side of a gear"
-            )  # fmt: skip
             found.append(InputMistake(
                 f"{joint}: the position changes by {ratio:.3g} where the command changes by 1: "
-                f"{said}",
+                "another unit, or the other side of a gear",
                 f"record {joint}'s position and command in one unit, on the joint's side of the "
                 "gear",
             ))  # fmt: skip
