@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +22,10 @@ from pytest_twin.recording_options import (
 RECORDING_HELP = (
     "MCAP file, rosbag2 folder, .db3 file, CSV file, or the folder of a LeRobot data set"
 )
+_OPTIONS = (
+    "topics", "joints", "command_mode", "clock", "command_between", "base", "columns", "units",
+    "time_unit", "motor_calibration",
+)  # fmt: skip
 
 
 def add_recordings(
@@ -155,6 +161,26 @@ def recording_options(args: argparse.Namespace) -> dict[str, Any]:
         "base": args.base,
     }
     return {key: value for key, value in given.items() if value}
+
+
+def options_as_typed(args: argparse.Namespace) -> str:
+    """Return the options of a command line that say how a recording is read; with a space before.
+
+    What a message proposes to run has to read the recording as this command did.
+    """
+    words = []
+    for name in _OPTIONS:
+        value = getattr(args, name, None)
+        if not value:
+            continue
+        pairs = isinstance(value, Mapping)
+        text = ",".join(f"{k}={v}" for k, v in value.items()) if pairs else str(value)
+        words += [f"--{name.replace('_', '-')}", shlex.quote(text)]
+    for name in ("root", "package"):
+        words += [
+            w for value in getattr(args, name, []) for w in (f"--{name}", shlex.quote(str(value)))
+        ]
+    return "".join(f" {word}" for word in words)
 
 
 def parse_topics(text: str) -> dict[str, str]:

@@ -205,8 +205,17 @@ def _advice(recording: Recording) -> list[str]:
     return found
 
 
-def in_words(kind: str, one: Mapping[str, Any], model: Path | None = None) -> list[str]:
-    """Return the summary of one recording as lines of text."""
+def in_words(
+    kind: str, one: Mapping[str, Any], model: Path | None = None, options: str = ""
+) -> list[str]:
+    """Return the summary of one recording as lines of text.
+
+    Args:
+        kind: kind of the file.
+        one: result of :func:`survey`.
+        model: MODEL of the command line.
+        options: options of the command line that say how recordings are read.
+    """
     clock = one["clock"]
     head = f"{one['recording']}: {kind}"
     if clock:
@@ -234,7 +243,7 @@ def in_words(kind: str, one: Mapping[str, Any], model: Path | None = None) -> li
             f"A diagnosis of {model} cannot use this recording."
             if model is not None
             else "Without a model, its use cannot be told: a twin.yaml may name topics, joints and "
-            f"columns (pytest-twin show MODEL {one['recording']})"
+            f"columns (pytest-twin show MODEL {one['recording']}{options})"
         )
         return lines
     modes = sorted(set(usable["command_modes"].values()))
@@ -248,7 +257,8 @@ def in_words(kind: str, one: Mapping[str, Any], model: Path | None = None) -> li
         f"{between['value']} between stamps ({between['source']})."
     )
     lines.append(
-        f"next: pytest-twin diagnose {model or 'MODEL'} {one['recording']} ... --out diagnosis"
+        f"next: pytest-twin diagnose {model or 'MODEL'} {one['recording']} ...{options} "
+        "--out diagnosis"
     )
     return lines
 
@@ -290,17 +300,30 @@ def _clock_lines(clock: Mapping[str, Any]) -> list[str]:
     return [f"clock: header stamps; log times come later by {text} (median)"]
 
 
-def episodes_in_words(found: Mapping[str, Any], model: Path | None = None) -> list[str]:
-    """Return the summary of a data set: a line for each episode, and the first in full."""
+def episodes_in_words(
+    found: Mapping[str, Any], model: Path | None = None, options: str = ""
+) -> list[str]:
+    """Return the summary of a data set: a line for each episode, and the first usable in full.
+
+    Args:
+        found: the JSON document of the command.
+        model: MODEL of the command line.
+        options: options of the command line that say how recordings are read.
+    """
     recordings = found["recordings"]
     lines = [f"{found['recording']}: {found['kind']}, {len(recordings)} episodes"]
     for one in recordings:
         duration = one["clock"].get("duration", {}).get("value", 0.0)
         usable = "usable" if one["usable"] is not None else "cannot be used"
         lines.append(f"  {one['recording']}: {duration:.4g} s, {usable}")
-    lines.append("the first:")
-    lines += [f"  {line}" for line in in_words("episode", recordings[0], model)[1:-1]]
+    first = next((one for one in recordings if one["usable"] is not None), None)
+    full = in_words("episode", first or recordings[0], model, options)
+    if first is None:
+        return [*lines, "the first:", *(f"  {line}" for line in full[1:-1]), full[-1]]
+    lines.append("the first:" if first is recordings[0] else "the first that can be used:")
+    lines += [f"  {line}" for line in full[1:-1]]
     lines.append(
-        f"next: pytest-twin diagnose {model or 'MODEL'} {found['recording']} --out diagnosis"
+        f"next: pytest-twin diagnose {model or 'MODEL'} {found['recording']}{options} "
+        "--out diagnosis"
     )
     return lines

@@ -11,6 +11,7 @@ from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
     add_recording_arguments,
+    options_as_typed,
     recording_options,
 )
 from pytest_twin.commands.recording_summary import episodes_in_words, in_words, survey
@@ -68,11 +69,11 @@ def run(args: argparse.Namespace) -> int:
             },
         )
     json_output.give(args, found)
-    one = found["recordings"]
+    one, options = found["recordings"], options_as_typed(args)
     lines = (
-        in_words(found["kind"], one[0], args.model)
+        in_words(found["kind"], one[0], args.model, options)
         if len(one) == 1
-        else episodes_in_words(found, args.model)
+        else episodes_in_words(found, args.model, options)
     )
     # Names come from files and may contain terminal escape sequences.
     show("\n".join(printable(line) for line in lines))

@@ -253,9 +253,7 @@ def _exclude_stuck_encoders(
     if sound:
         for t in bad:
             why = "copies the commands" if stuck(t) <= _copied(t) else "is stuck"
-            notes.append(
-                f"left out: {t.path}: the encoder of {', '.join(sorted(stuck(t)))} {why}"
-            )
+            notes.append(f"left out: {t.path}: the encoder of {', '.join(sorted(stuck(t)))} {why}")
         return sound, frozenset()
     joints = frozenset(j for t in bad for j in stuck(t))
     if all(j in joints for t in trials for j in t.joints):

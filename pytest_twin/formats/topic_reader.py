@@ -353,11 +353,13 @@ class TopicReader:
     def _of_one_quantity(self, tables: dict[str, Floats | None]) -> dict[str, Floats | None]:
         """Determine the quantity of the values from the topic's name."""
         named = [name for name in QUANTITIES if name in self.topic.lower()]
-        said = f"{self.schema} does not say whether it holds positions, velocities or efforts"
         if len(named) == 1:
-            self.remarks.add(self.topic, f"{said}; the topic's name says {named[0]}")
+            self.remarks.add(
+                self.topic,
+                f"{self.schema} does not say whether it holds positions, velocities or efforts; "
+                f"the topic's name says {named[0]}",
+            )
             return {name: tables[name] if name in named else None for name in QUANTITIES}
-        self.remarks.add(self.topic, f"{said}: the model's actuators decide, or command_mode")
         return tables
 
     def _note_places(self, names: tuple[str, ...]) -> None:

@@ -138,7 +138,9 @@ def read_measured(
         loose = check_floating_base(realization.structure, series.names, recording.path)
         commanded, notes = _commands_at_states(recording, series, realization, topics, options)
         at_joints = _at_joints(series, commanded, recording, signals)
-        whole = _in_model(_checked_and_unwrapped(at_joints, series.topic, realization, signals), realization)
+        whole = _in_model(
+            _checked_and_unwrapped(at_joints, series.topic, realization, signals), realization
+        )
         before = (*recording.notes, *named)
         found += _stretches(replace(whole, notes=(*before, *whole.notes, *notes, *loose)))
     return found

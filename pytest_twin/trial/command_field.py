@@ -87,6 +87,7 @@ def choose_command_fields(
                     "command_mode names a joint that is not commanded",
                     path=path, where=series.topic, value=joint, expected=list_names(series.names),
                 )  # fmt: skip
+    assumed: dict[tuple[CommandMode, str], list[str]] = {}
     inputs = {} if structure is None else structure.joint_inputs
     unfit = {} if structure is None else _fields_without_actuator(series, structure, options)
     for column, joint in enumerate(series.names):
@@ -119,6 +120,10 @@ def choose_command_fields(
         others[joint] = {name: ~np.isnan(tables[name]) for name in filled if name != mode}
         if asked is None and len(filled) > 1 and series.has_any_quantity(column):
             unstated.add(joint)
+        if series.has_any_quantity(column):
+            if asked is None:
+                assumed.setdefault((mode, why), []).append(joint)
+            continue
         used = {mode, "velocity"} if series.from_trajectories and mode == "position" else {mode}
         rest = tuple(name for name in filled if name not in used)
         if rest:
@@ -135,6 +140,12 @@ def choose_command_fields(
         f"{series.topic}: {mode} commands count at {list_names(names)}, {why}; not used: "
         + " and ".join(rest)
         for (mode, rest, why), names in unused.items()
+    ]
+    notes += [
+        f"{series.topic}: does not say whether it holds positions, velocities or efforts; taken as "
+        f"{mode} commands at {list_names(names)}, {why} (--command-mode, or command_mode: in "
+        "twin.yaml, says otherwise)"
+        for (mode, why), names in assumed.items()
     ]
     notes += [
         f"{series.topic}: {' and '.join(fields)} commands of {joint!r} are not used, {why}"

@@ -15,7 +15,7 @@ from pytest_twin.trial.table import stamp_order
 from pytest_twin.words import list_names
 
 # A position that steps to zero and back by this many times its largest other step, and by this
-# amount (rad or m), is no motion. A joint that moves fast at a low rate makes other large steps too.
+# amount (rad or m), is no motion. A fast joint at a low rate makes other large steps too.
 _STEPS, _LEAST_STEP = 3.0, 0.02
 # Messages of zeros at the begin or the end of a recording, where only one step shows them.
 _FEWEST_AT_END = 3
@@ -96,7 +96,7 @@ def _lost(position: FloatArray, command: FloatArray | None) -> NDArray[np.bool_]
         # Two publishers, one of which sends zeros, are reported as such.
         return is_lost
     for first, after in edges.tolist():
-        inside = 0 < first and after < len(values)
+        inside = first > 0 and after < len(values)
         if not inside and after - first < _FEWEST_AT_END:
             continue
         before = abs(values[first - 1]) if first else np.inf

@@ -47,7 +47,7 @@ _WAY_OUT = (
 
 
 def refuse_other_scale(
-    motion: RecordedMotion, ranges: Mapping[str, tuple[float, float]] | None = None
+    motion: RecordedMotion, ranges: Mapping[str, tuple[float, float] | None] | None = None
 ) -> None:
     """Check that positions do not follow their commands in the ratio of two units.
 
@@ -82,7 +82,7 @@ def doubts(recording: Recording) -> list[str]:
     states, commands = recording.series.get("state"), recording.series.get("command")
     if states is None or states.position is None:
         return []
-    notes = []
+    notes: list[str] = []
     try:
         notes += without_dropouts(recording).notes[len(recording.notes) :]
         if commands is not None and commands.position is not None:
@@ -227,6 +227,4 @@ def _is_at_stop(position: FloatArray, limits: tuple[float, float] | None) -> boo
     """Whether a joint is at one end of its range all the time, so that commands hardly move it."""
     if limits is None:
         return False
-    return bool(
-        (position < limits[0] + _AT_STOP).all() or (position > limits[1] - _AT_STOP).all()
-    )
+    return bool((position < limits[0] + _AT_STOP).all() or (position > limits[1] - _AT_STOP).all())

@@ -156,7 +156,10 @@ def test_a_recording_too_short_for_a_noise_estimate_is_left_out(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("factor", "words"),
-    [(np.degrees(1.0), "positions were in degrees"), (4096 / (2 * np.pi), "positions were in encoder counts")],
+    [
+        (np.degrees(1.0), "positions were in degrees"),
+        (4096 / (2 * np.pi), "positions were in encoder counts"),
+    ],
     ids=["degrees", "encoder counts"],
 )
 def test_states_in_another_unit_than_the_commands_are_refused(

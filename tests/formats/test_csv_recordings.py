@@ -41,10 +41,7 @@ def test_columns_may_be_in_any_order(tmp_path: Path) -> None:
     assert command.names == ("a",)
     for name in ("position", "velocity", "effort"):
         np.testing.assert_array_equal(getattr(command, name), [[0.5], [0.25], [0.125]])
-    assert recording.notes == (
-        "NAME.command does not say whether it is a position, velocity or effort: the model's "
-        "actuators decide, or command_mode",
-    )
+    assert recording.notes == ()
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,7 @@ def test_array_commands_are_named_by_labels_or_index_with_notes(
     assert recording.damage == ()
     said = " ".join(recording.notes)
     assert "has no stamp: the recorder's log time is used" in said
-    assert "positions, velocities or efforts" in said
+    assert ("positions, velocities or efforts" in said) == (len(filled) == 1)
     assert ("numbered 0 to" in said) == (names == ("0", "1"))
 
 

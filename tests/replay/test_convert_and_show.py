@@ -331,3 +331,33 @@ def test_csv_headers_are_mapped_by_the_twin_or_an_option(
     assert cli.main(["replay", *words]) == 0
     state = read_recording(tmp_path / "out.mcap").series["state"]
     np.testing.assert_array_equal(state.stamp, recording.series["state"].stamp)
+
+
+def test_the_next_command_reads_the_recording_as_this_one_did(
+    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    renamed = [
+        series(topic, JOINTS, TIME, position=one.position)
+        for topic, one in zip(("/a/s", "/a/c"), recording.series.values(), strict=True)
+    ]
+    write_recording(tmp_path / "log.mcap", renamed)
+    options = ["--topics", "state=/a/s,command=/a/c", "--command-between", "interpolated"]
+    arguments = ["show", str(tmp_path / "arm.xml"), str(tmp_path / "log.mcap"), *options]
+    assert cli.main(arguments) == 0
+    expected = f"{tmp_path / 'log.mcap'} ... {' '.join(options)} --out diagnosis"
+    assert expected in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_the_kind_of_unnamed_commands_is_noted_unless_it_is_declared(
+    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str], declared: bool
+) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    mode = "command_mode: position\n" if declared else ""
+    (tmp_path / "twin.yaml").write_text(f"name: arm\nmodel: arm.xml\n{mode}")
+    log = as_csv(recording, tmp_path / "log.csv")
+    assert cli.main(["show", str(tmp_path / "twin.yaml"), str(log)]) == 0
+    said = capsys.readouterr().out
+    assert ("does not say whether it holds positions" in said) is not declared
+    assert ("taken as position commands at shoulder, elbow, the model has" in said) is not declared

@@ -232,12 +232,6 @@ class _Table:
             if one is not None:
                 series[role] = one
                 damage += _time_damage(one)
-        commands = [column for column in self.columns.values() if column.role == "command"]
-        if "command" in series and any(column.quantity is None for column in commands):
-            notes.append(
-                "NAME.command does not say whether it is a position, velocity or effort: the "
-                "model's actuators decide, or command_mode"
-            )
         metadata, note = metadata_beside(self.path)
         return Recording(self.path, series, metadata, tuple(damage), (*notes, *note))
 
