@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pytest_twin.errors import RecordingError
 from pytest_twin.open_loop import Replayed, replay
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
@@ -23,6 +24,27 @@ _MUCH_BETTER = 0.5
 _MOVED = 0.02
 
 
+def refuse_other_order(realization: Realization, trials: Sequence[Trial]) -> None:
+    """Check that no other order of unnamed joints predicts the motion much better.
+
+    The first recording of each assumed order is tested: the others were made by the same node.
+
+    Raises:
+        RecordingError: another order predicts it much better. Estimates would be of other joints.
+    """
+    first = {(trial.joints, trial.unnamed): trial for trial in reversed(trials) if trial.unnamed}
+    for trial in first.values():
+        better = _better_order(realization, trial)
+        if better is not None:
+            raise RecordingError(
+                "the joints are not named, and may be in another order",
+                path=trial.path,
+                value=_doubt(trial, better),
+                expected=f"--joints {_mapping(better.order)}, or in the assumed order --joints "
+                f"{_mapping(trial.joints)}, or 'joints:' in twin.yaml",
+            )
+
+
 def doubt_of_order(realization: Realization, trial: Trial) -> str | None:
     """Return a note if another order of unnamed joints predicts the motion much better.
 
@@ -33,6 +55,21 @@ def doubt_of_order(realization: Realization, trial: Trial) -> str | None:
         realization: the model.
         trial: a trial whose joints have the order of the model's actuators.
     """
+    better = _better_order(realization, trial)
+    if better is None:
+        return None
+    return f"{_doubt(trial, better)}; --joints {_mapping(better.order)} or 'joints:' in twin.yaml"
+
+
+@dataclass(frozen=True)
+class _BetterOrder:
+    """An order of joints, and its RMS error relative to that of the assumed order."""
+
+    order: tuple[str, ...]
+    error_ratio: float
+
+
+def _better_order(realization: Realization, trial: Trial) -> _BetterOrder | None:
     if not trial.unnamed or len(trial.time) < 2:
         return None
     short = trial.until(_SECONDS)
@@ -42,12 +79,19 @@ def doubt_of_order(realization: Realization, trial: Trial) -> str | None:
     best = int(np.argmin(errors))
     if not errors[best] < _MUCH_BETTER * errors[0]:
         return None
-    ratio = float(np.sqrt(errors[best] / errors[0]))
+    return _BetterOrder(orders[best], float(np.sqrt(errors[best] / errors[0])))
+
+
+def _doubt(trial: Trial, better: _BetterOrder) -> str:
     return (
-        f"the order of the joints may be {list_names(orders[best])}: it predicts the motion with "
-        f"{100 * ratio:.2g} % of the error of the assumed order {list_names(orders[0])}; 'joints:' "
-        "in twin.yaml or --joints names them"
+        f"the order of the joints may be {list_names(better.order)}: it predicts the motion with "
+        f"{100 * better.error_ratio:.2g} % of the error of the assumed order "
+        f"{list_names(trial.joints)}"
     )
+
+
+def _mapping(order: Sequence[str]) -> str:
+    return ",".join(f"{at}={joint}" for at, joint in enumerate(order))
 
 
 def _orders(joints: tuple[str, ...]) -> list[tuple[str, ...]]:

@@ -257,6 +257,7 @@ def diagnose_files(
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
     from pytest_twin.realization.record_inputs import states_of_records
     from pytest_twin.records.state import stale_lines
+    from pytest_twin.replay_order import refuse_other_order
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
     from pytest_twin.trial.command_field import refuse_unfit_modes
 
@@ -272,6 +273,8 @@ def diagnose_files(
     )
     for trial in (*trials.fit, *trials.held_out):
         refuse_unfit_modes(loaded.realization.structure, trial)
+    if loaded.patched is None:
+        refuse_other_order(loaded.realization, trials.fit)
     seconds = asked.seconds
     budget = Budget(seconds, own_time=asked.own_time)
 

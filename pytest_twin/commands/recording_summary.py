@@ -5,11 +5,10 @@ from __future__ import annotations
 import datetime
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_twin.dependency import Structure
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.recording import TOPICS, JointSeries, Recording, Topic
 from pytest_twin.formats.recordings.candidates import describe, pairs, topics_option
@@ -17,6 +16,9 @@ from pytest_twin.formats.ros_serialization import QUANTITIES, Integers
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import make_trials
 from pytest_twin.words import join_words
+
+if TYPE_CHECKING:
+    from pytest_twin.realization import Realization
 
 # Below this rate, Hz, a delay of a usual servo loop falls between two samples.
 _SLOW = 50.0
@@ -33,20 +35,25 @@ _PAIRS = 4
 
 
 def survey(
-    recording: Recording, options: RecordingOptions, structure: Structure | None = None
+    recording: Recording, options: RecordingOptions, realization: Realization | None = None
 ) -> dict[str, Any]:
     """Return the summary of a recording as JSON data.
 
     Args:
         recording: the recording.
         options: options with which a command would read it.
-        structure: structure of the model; None without a model.
+        realization: the model; None without one.
     """
+    from pytest_twin.replay_order import refuse_other_order
+
+    structure = None if realization is None else realization.structure
     missing, advice = _missing_roles(recording), []
     usable, notes = None, list(recording.notes)
     if not missing:
         try:
             trials = make_trials(recording, structure, options)
+            if realization is not None:
+                refuse_other_order(realization, trials)
         except TwinError as error:
             missing.append(str(error))
         else:

@@ -116,10 +116,10 @@ def show_file(
 
     path = Path(recording)
     chosen = RecordingOptions.from_json(options)
-    structure, all_topics = None, {**TOPICS, **topics}
+    realization, all_topics = None, {**TOPICS, **topics}
     if model is not None:
         loaded = load_model(Path(model), chosen.base)
-        structure = loaded.realization.structure
+        realization = loaded.realization
         chosen, all_topics = chosen.over(loaded.options), {**loaded.topics, **topics}
     found = recordings_at(path, all_topics, chosen)
     return {
@@ -127,5 +127,5 @@ def show_file(
         "recording": recording,
         "model": model,
         "kind": reader_of(path).kind,
-        "recordings": [survey(one, chosen, structure) for one in found],
+        "recordings": [survey(one, chosen, realization) for one in found],
     }

@@ -27,7 +27,7 @@ from pytest_twin.trial.joint_side import (
     positions_at_joints,
     without_other_joint,
 )
-from pytest_twin.trial.joints import in_model_names, metres_of_slides
+from pytest_twin.trial.joints import in_model_names, metres_of_slides, name_by_actuators
 from pytest_twin.trial.repeated_states import own_samples
 from pytest_twin.trial.roles import refuse_final
 from pytest_twin.trial.stream_checks import check_copies, refuse_other_scale
@@ -163,6 +163,9 @@ def _commands_or_states(
             expected="positions and efforts of the joints; map the topic in twin.yaml or by "
             "--topics state=/x",
         )
+    series, placed = name_by_actuators(
+        series, options.joints, realization.structure.actuator_joints
+    )
     named, notes = in_model_names(series, options.joints, realization.joints, recording.path)
     named, in_metres = metres_of_slides(named, realization.structure.joint_type)
     if named.position is None and role == "state":
@@ -172,7 +175,7 @@ def _commands_or_states(
             where=series.topic,
             expected="positions of the joints, rad or m",
         )
-    return named, [*notes, *in_metres]
+    return named, [*placed, *notes, *in_metres]
 
 
 def _commands_at_states(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from pytest_twin.realization.record_inputs import basis_json, states_of_records,
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
 from pytest_twin.records.basis import Uses
 from pytest_twin.records.state import stale_lines
+from pytest_twin.replay_order import refuse_other_order
 from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
 
 REALIZATION = "realization"
@@ -121,13 +122,15 @@ def identify_files(
     folder = _new_folder(Path(out) / REALIZATION)
     progress(0.3)
     if has_effort(measured):
-        result = identify_effort(realization, measured, signals)
-        progress(0.8)
-        encoders = encoder_changes(realization, result)
         tried = trials_of(
             realization, _paths(measured.held_out) or _paths(measured.fit),
             {**stated, **topics}, chosen,
         )  # fmt: skip
+        if not isinstance(tried, TwinError):
+            refuse_other_order(realization, tried)
+        result = identify_effort(realization, measured, signals)
+        progress(0.8)
+        encoders = encoder_changes(realization, result)
         gains = servo_gains(realization, measured.fit, result, signals)
         driven = drive_recordings(measured, {**stated, **topics}, chosen, signals, result, gains)
         loop = close_loop(
@@ -271,12 +274,18 @@ def _from_commands(
     from pytest_twin.diagnosis.patched.model import read_patched_model
     from pytest_twin.diagnosis.patched.write import RecordingSettings, write_realization
     from pytest_twin.diagnosis.trials import read_trials
+    from pytest_twin.diagnosis.unit_check import drop_other_units
     from pytest_twin.identification.simulation.document import simulation_document
     from pytest_twin.identification.simulation.identify import identify_simulation
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
     trials = read_trials(recordings, held_out, topics, realization.structure, options)
     inherited = read_patched_model(realization)
+    if inherited is None:
+        refuse_other_order(realization, trials.fit)
+    notes: list[str] = []
+    trials = drop_other_units(realization, trials, notes)
+    trials = replace(trials, notes=(*notes, *trials.notes))
     with suppress_mujoco_warnings():
         result = identify_simulation(
             realization, trials,

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from foreign_logs import ARM, TRUE_RMS, recorded, replayed, trial_of, write
 
+from pytest_twin import cli
 from pytest_twin.realization import load
 from pytest_twin.replay_order import doubt_of_order
 
@@ -34,3 +35,34 @@ def test_the_right_order_is_not_suspected(tmp_path: Path) -> None:
     assert doubt_of_order(load(ARM), trial) is None
     named = trial_of(write(tmp_path / "named.mcap", recorded()))
     assert named.unnamed == frozenset()
+
+
+@pytest.mark.usefixtures("commands_in_process")
+def test_every_command_says_the_doubt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    swapped = {
+        role: replace(one, position=one.position[:, ::-1], names=("0", "1"))  # type: ignore[index]
+        for role, one in recorded().items()
+    }
+    log = str(write(tmp_path / "log.mcap", swapped))
+    words = (
+        "the joints are not named, and may be in another order",
+        "the order of the joints may be j2, j1: it predicts the motion with",
+        "--joints 0=j2,1=j1, or in the assumed order --joints 0=j1,1=j2",
+    )
+    assert cli.main(["show", str(ARM), log]) == 0
+    shown = capsys.readouterr().out
+    assert all(word in shown for word in words)
+    for command in ("diagnose", "identify"):
+        assert cli.main([command, str(ARM), log, "--out", str(tmp_path / command)]) == 2
+        error = capsys.readouterr().err.splitlines()[-1]
+        assert all(word in error for word in words)
+
+
+@pytest.mark.usefixtures("commands_in_process")
+def test_a_named_order_is_taken_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    swapped = {role: replace(one, names=("0", "1")) for role, one in recorded().items()}
+    log = str(write(tmp_path / "log.mcap", swapped))
+    assert cli.main(["show", str(ARM), log, "--joints", "0=j2,1=j1"]) == 0
+    assert "in another order" not in capsys.readouterr().out
