@@ -41,7 +41,7 @@ def write_recording(path: Path) -> None:
     rows = ["time,elbow.position,elbow.command"]
     for k in range(200):
         wanted = 0.3 * math.sin(0.02 * k)
-        rows.append(f"{0.02 * k:.3f},{wanted:.6f},{wanted:.6f}")
+        rows.append(f"{0.02 * k:.3f},{wanted + 0.001 * math.cos(0.3 * k):.6f},{wanted:.6f}")
     path.write_text("\n".join(rows) + "\n")
 
 
