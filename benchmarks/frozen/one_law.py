@@ -48,6 +48,8 @@ SIZES = np.geomspace(1e-3, 10.0, 13)
 """Multiples of a starting size of the law that are tried."""
 HALVINGS = 6
 """Steps of the search for the size between two of these multiples."""
+STARTS, FIRST = 6, 2
+"""Starting sizes of each other law, and recordings in which all of them are tried."""
 NEAR = 5.0
 """Noise levels up to which a law that was scaled once is scaled again."""
 
@@ -232,9 +234,10 @@ class Plant:
         )  # fmt: skip
         return whole_segment(self.realization, trial, drawn.joints, 1.0)
 
-    def readings(self, hypotheses: Sequence[Hypothesis]) -> list[list[Predicted]]:
-        """Return sensor readings of every recording, for each hypothesis."""
-        count = len(ROLES)
+    def readings(
+        self, hypotheses: Sequence[Hypothesis], count: int = len(ROLES)
+    ) -> list[list[Predicted]]:
+        """Return sensor readings of the first ``count`` recordings, for each hypothesis."""
         rows = np.tile(np.arange(count), len(hypotheses))
         each = [h for h in hypotheses for _ in range(count)]
         with np.errstate(all="ignore"):
@@ -319,8 +322,6 @@ class Plant:
         Each law is scaled to the change by the hidden one twice, from its starting sizes.
         """
         (term,) = hidden.terms
-        (real,) = self.readings([hidden])
-        wanted = self._stacked(real) - self._stacked(self.nominal)
         starts: list[tuple[str, Floats]] = []
         for name in laws():
             law = catalogue()[name]
@@ -329,17 +330,22 @@ class Plant:
             coupled = name == "joint_coupling" and len(self.drawn.joints) == 1
             unseen = law.needs_effort_sensor and not self.drawn.effort
             if name != term.effect and usable and not (periodic or coupled or unseen):
-                starts += [(name, s) for s in starting_sizes(law)[:6]]
+                starts += [(name, s) for s in starting_sizes(law)[:STARTS]]
         closest: dict[str, float] = {}
-        for _ in range(3):
-            found = self.readings([self.only(name, s) for name, s in starts])
+        # Most laws are far away already in the first recordings.
+        for count in (FIRST, len(ROLES), len(ROLES)):
+            (real,) = self.readings([hidden], count)
+            nominal = self._stacked(self.nominal[:count])
+            wanted = self._stacked(real) - nominal
+            found = self.readings([self.only(name, s) for name, s in starts], count)
             scaled = []
             for (name, start), reading in zip(starts, found, strict=True):
-                change = self._stacked(reading) - self._stacked(self.nominal)
+                change = self._stacked(reading) - nominal
                 if not np.isfinite(change).all() or not change.any():
                     continue
-                off = float(np.sqrt(np.mean((change - wanted) ** 2)))
-                closest[name] = min(off, closest.get(name, np.inf))
+                if count == len(ROLES):
+                    off = float(np.sqrt(np.mean((change - wanted) ** 2)))
+                    closest[name] = min(off, closest.get(name, np.inf))
                 factor = float(change @ wanted / (change @ change))
                 if float(np.sqrt(np.mean((factor * change - wanted) ** 2))) <= NEAR:
                     scaled.append((name, self._sized(name, start, factor)))
