@@ -129,7 +129,6 @@ def answer_row(
 
 def run_rows(args: argparse.Namespace) -> int:
     """Answer all rows that the file of answers lacks."""
-    known = frozen()
     for row, problem, limit in rows_of(args.rows):
         if row in answers.read(args.answers):
             continue
@@ -138,7 +137,7 @@ def run_rows(args: argparse.Namespace) -> int:
         except MissingInputError as error:
             print(f"{row}: skipped: {error}", flush=True)
             continue
-        digest = known.get(problem.name, {}).get("digest")
+        digest = frozen().get(problem.name, {}).get("digest")
         if inputs.digest() != digest:
             why = "its inputs are not the frozen ones" if digest else "it is not frozen"
             print(f"{row}: skipped: {why}", flush=True)

@@ -28,7 +28,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "concealed"))
 
-from family_score import SURE, is_effect, kind_of
+from family_score import SURE, first_right, intervals, removed, sure
+from family_score import Answer as Scored
 
 from frozen.answer import Answer
 
@@ -51,15 +52,15 @@ class Judged:
     truth: Mapping[str, Any]
 
     @property
+    def scored(self) -> Scored:
+        """The same for the scores of blind cases."""
+        truth = {"background": [], "effects": [], **self.truth}
+        return Scored(truth, {}, self.answer if "findings" in self.answer else None)
+
+    @property
     def has_ended(self) -> bool:
         """Whether the command wrote a result."""
         return "verdict" in self.answer
-
-    @property
-    def names(self) -> list[dict[str, Any]]:
-        """Findings without laws that have no name, the largest first."""
-        findings = self.answer.get("findings", [])
-        return [f for f in findings if not f["effect"].startswith("unnamed_")]
 
     @property
     def first_is_right(self) -> bool | None:
@@ -67,32 +68,24 @@ class Judged:
 
         None where nobody knows, and where no hidden effect changes the readings.
         """
-        if "effects" not in self.truth or ("findings" not in self.answer and self.has_ended):
+        if "effects" not in self.truth or "stages" in self.answer:
             return None
-        hidden = sorted(
-            (e for e in self.truth["effects"] if e["visibility"] >= 1.0),
-            key=lambda e: -float(e["visibility"]),
-        )
-        if not hidden:
-            return None if self.truth["effects"] else not self.names
-        return bool(self.names) and is_effect(self.names[0], hidden[0])
+        scored = self.scored
+        if scored.hidden:
+            return first_right(scored)
+        return None if self.truth["effects"] else not scored.findings
 
     @property
     def right_at_sure(self) -> int:
         """Number of names at 0.9 and above that are right or background."""
-        return self._count_sure(of_false=False)
+        if "effects" not in self.truth:
+            return 0
+        return len(sure(self.scored, "right")) + len(sure(self.scored, "background"))
 
     @property
     def false_at_sure(self) -> int:
         """Number of false names at 0.9 and above."""
-        return self._count_sure(of_false=True)
-
-    def _count_sure(self, *, of_false: bool) -> int:
-        if "effects" not in self.truth:
-            return 0
-        truth = {"background": [], **self.truth}
-        sure = [f for f in self.names if f["confidence"] >= SURE]
-        return sum((kind_of(f, truth) == "false") is of_false for f in sure)
+        return len(sure(self.scored, "false")) if "effects" in self.truth else 0
 
     @property
     def is_alone(self) -> bool | None:
@@ -104,9 +97,9 @@ class Judged:
             return None
         (hidden,) = self.truth["effects"]
         same = {(hidden["effect"], hidden["joint"]), *map(tuple, hidden["equivalents"])}
-        if len(self.names) != 1:
+        if len(self.scored.findings) != 1:
             return False
-        (found,) = self.names
+        (found,) = self.scored.findings
         shares: dict[tuple[str, str | None], float] = defaultdict(float)
         for one in (found, *found["alternatives"]):
             shares[one["effect"], one.get("joint")] += one["confidence"]
@@ -117,32 +110,6 @@ class Judged:
             and sum(of_same) >= SURE
             and true >= 0.5 * max(of_same)
         )
-
-    @property
-    def removed(self) -> float | None:
-        """Removed share of the squared held-out error above the floor."""
-        before = after = 0.0
-        for error in self.answer.get("held_out", {}).values():
-            if "rms_before" not in error or None in error.values():
-                continue
-            floor = error["floor"] ** 2
-            before += max(error["rms_before"] ** 2 - floor, 0.0) / floor
-            after += max(error["rms_after"] ** 2 - floor, 0.0) / floor
-        return None if before < 1.0 else 1.0 - after / before
-
-    @property
-    def intervals(self) -> list[bool]:
-        """Whether each 95 % interval of a right finding contains the true value."""
-        inside = []
-        for finding in self.names:
-            for effect in self.truth.get("effects", []):
-                if (finding["effect"], finding["joint"]) != (effect["effect"], effect["joint"]):
-                    continue
-                for name, parameter in finding["parameters"].items():
-                    true, bounds = effect["parameters"].get(name), parameter.get("ci95")
-                    if true is not None and bounds and None not in bounds:
-                        inside.append(bool(bounds[0] <= true <= bounds[1]))
-        return inside
 
 
 def worse(old: Judged, new: Judged) -> list[str]:
@@ -233,18 +200,18 @@ FIGURES = (
 def _pooled(column: Sequence[Judged]) -> list[str]:
     firsts = [j.first_is_right for j in column if j.first_is_right is not None]
     alone = [j.is_alone for j in column if j.is_alone is not None]
-    inside = [value for j in column for value in j.intervals]
-    removed = [j.removed for j in column if j.removed is not None]
+    inside = [value for j in column for value in intervals(j.scored)]
+    gone = [share for j in column if (share := removed(j.scored)) is not None]
     simulations = [j.answer["simulations"] for j in column if j.answer.get("simulations")]
     seconds = [j.answer["processor_seconds"] for j in column]
-    sure = sum(j.right_at_sure + j.false_at_sure for j in column)
+    at_sure = sum(j.right_at_sure + j.false_at_sure for j in column)
     return [
         f"{sum(j.has_ended for j in column)} of {len(column)}",
         f"{sum(firsts)} of {len(firsts)}",
         f"{sum(alone)} of {len(alone)}",
-        f"{sum(j.right_at_sure for j in column)} of {sure}",
-        f"{sum(j.false_at_sure for j in column)} of {sure}",
-        f"{100.0 * np.median(removed):.1f} % of {len(removed)}" if removed else "none",
+        f"{sum(j.right_at_sure for j in column)} of {at_sure}",
+        f"{sum(j.false_at_sure for j in column)} of {at_sure}",
+        f"{100.0 * np.median(gone):.1f} % of {len(gone)}" if gone else "none",
         f"{sum(inside)} of {len(inside)}",
         f"{np.median(simulations):.0f}" if simulations else "none",
         f"{np.median(seconds):.0f} s" if seconds else "none",
@@ -258,7 +225,7 @@ def _described(judged: Judged) -> str:
         return f"no result ({answer['status']})"
     names = ", ".join(
         f"{f['effect']} {f['joint'] or ''}".strip() + f" {f['confidence']:.2f}"
-        for f in judged.names
+        for f in judged.scored.findings
     )
     if "stages" in answer:
         errors = " ".join(

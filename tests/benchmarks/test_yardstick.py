@@ -14,6 +14,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import yardstick
 from frozen import answer as answers
+from frozen import one_law
 from frozen.comparison import Judged, worse
 from frozen.problem import Inputs, MissingInputError, Problem, outside
 
@@ -179,3 +180,17 @@ def test_rows_run_another_search_once_and_only_on_frozen_inputs(
     worse_file = tmp_path / "worse.jsonl"
     answers.append(worse_file, {**answer, "findings": [finding("payload", 0.95)]})
     assert call("compare", str(file), str(worse_file)) == 1
+
+
+def test_a_drawn_law_changes_the_readings_by_ten_times_their_noise_and_is_the_same_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The law may share its name only with laws that predict the same."""
+    monkeypatch.setattr(one_law, "SECONDS", 1.5)
+    monkeypatch.setattr(one_law, "laws", lambda: ["command_delay", "sensor_delay"])
+    first, again = (one_law.make(0, tmp_path / name) for name in ("first", "again"))
+    assert first.digest() == again.digest()
+    (hidden,) = first.truth["effects"]
+    assert hidden["effect"] == "command_delay"
+    assert hidden["visibility"] == pytest.approx(one_law.TIMES_NOISE, rel=0.1)
+    assert (len(first.fit), len(first.held_out)) == (3, 1)
