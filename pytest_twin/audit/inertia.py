@@ -54,6 +54,7 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
                 _CAD,
             )
     yield from _massless_moving_bodies(asset, geometry)
+    yield from _massless_robot(asset)
 
 
 @dataclass(frozen=True, slots=True)
@@ -424,6 +425,26 @@ def _massless_moving_bodies(asset: Asset, geometry: Geometry) -> Iterator[Findin
                 "about that axis its acceleration is undefined",
                 _CAD,
             )
+
+
+def _massless_robot(asset: Asset) -> Iterator[Finding]:
+    """Yield the finding of a robot without any mass; moving bodies are reported one by one."""
+    bodies = asset.body.values()
+    unreadable = "inertia" in asset.unseen or any(f.layer == "inertia" for f in asset.faults)
+    if unreadable or asset.moving or not bodies or any(body.mass for body in bodies):
+        return
+    yield Finding(
+        "inertia.no_mass_at_all",
+        "critical",
+        asset.place,
+        f"robot '{asset.name}'",
+        "none of its bodies has a mass, and no joint moves one: nothing of it can be simulated",
+        0.0,
+        "kg",
+        "the mass and inertia of each body, and the joints between them",
+        "every simulator takes it for scenery, and a golden of it proves nothing of the robot",
+        "ask the supplier for the complete model; this one may hold visual shapes only",
+    )
 
 
 def _is_flat(body: Body) -> bool:

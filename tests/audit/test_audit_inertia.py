@@ -169,3 +169,21 @@ def test_a_convex_mesh_is_not_reported_as_non_convex(tmp_path: Path) -> None:
     (tmp_path / "bar.stl").write_bytes(box_stl((0.2, 0.05, 0.05)))
     rows = findings_of(path)
     assert not only(rows, "meshes.not_convex")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<robot name="r"><link name="base"><visual><geometry><box size="1 1 1"/></geometry>'
+        '</visual></link><link name="lidar"/><joint name="j" type="fixed"><parent link="base"/>'
+        '<child link="lidar"/></joint></robot>',
+        '<mujoco model="r"><worldbody><body name="base"><geom size=".1" mass="0" contype="0" '
+        'conaffinity="0"/></body></worldbody></mujoco>',
+    ],
+    ids=["urdf", "mjcf"],
+)
+def test_a_robot_of_visual_shapes_alone_is_critical(text: str, tmp_path: Path) -> None:
+    path = tmp_path / ("r.urdf" if text.startswith("<robot") else "r.xml")
+    path.write_text(text)
+    (row,) = only(findings_of(path), "inertia.no_mass_at_all")
+    assert (row["severity"], row["element"], row["value"]) == ("critical", "robot 'r'", 0.0)
