@@ -20,6 +20,7 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.gate.distributions import code_sha256
 from pytest_twin.gate.process import PLUGIN_LAYER, GateProcess, file_part
 from pytest_twin.realization.import_path import import_path, is_installed
+from pytest_twin.session.bytecode import caches_of, is_of_its_source
 
 _PLUGINS = "pytest11"
 """Group of the entry points through which pytest finds installed plugins."""
@@ -47,6 +48,11 @@ def process_code(config: pytest.Config, root: Path, tests: Collection[Path]) -> 
     for path in sorted(loaded):
         if path.is_relative_to(_PACKAGE):
             continue
+        problems += [
+            f"{cache}: is not the bytecode of {path.name}, and Python runs it (expected: delete it)"
+            for cache in caches_of(path)
+            if not is_of_its_source(cache)
+        ]
         try:
             files[path] = file_sha256(path)
             if path not in tests:
@@ -154,8 +160,9 @@ def _hiding_modules(config: pytest.Config, root: Path) -> Iterator[str]:
 def _is_copy_of_installed(name: str, path: Path, children: list[str]) -> bool:
     """Whether each file of the module at ``path`` is a copy of one of the installed module.
 
-    This is so in a checkout of pytest-twin itself. Compiled modules count: Python may run them in
-    place of their source.
+    This is so in a checkout of pytest-twin itself. Compiled modules count, because Python may run
+    them in place of their source; caches in which Python keeps the same code as in the source do
+    not.
     """
     spec = PathFinder.find_spec(name, children)
     if spec is None or spec.origin is None:
@@ -165,6 +172,7 @@ def _is_copy_of_installed(name: str, path: Path, children: list[str]) -> bool:
     installed = Path(spec.origin).parent
     return all(
         _same_content(file, installed / file.relative_to(path))
+        or (file.parent.name == "__pycache__" and is_of_its_source(file))
         for file in path.rglob("*")
         if not file.is_dir()
     )

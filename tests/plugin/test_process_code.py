@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import marshal
+import py_compile
 import shutil
 import subprocess
 import sys
@@ -128,6 +131,49 @@ def test_a_package_is_a_copy_with_equal_files_only(tmp_path: Path) -> None:
     compiled.parent.mkdir()
     compiled.write_bytes(b"")
     assert not _is_copy_of_installed("pluggy", copy, sys.path)
+    compiled.unlink()
+    # What Python keeps of the copy itself, and a cache that Python no longer runs, change nothing.
+    cache = Path(py_compile.compile(str(copy / "_hooks.py")))
+    assert _is_copy_of_installed("pluggy", copy, sys.path)
+    other = Path(py_compile.compile(str(copy / "_manager.py"))).read_bytes()
+    cache.write_bytes(other)
+    assert _is_copy_of_installed("pluggy", copy, sys.path)
+    cache.write_bytes(header_for(copy / "_hooks.py") + other[16:])
+    assert not _is_copy_of_installed("pluggy", copy, sys.path)
+
+
+def header_for(source: Path) -> bytes:
+    """Start of a cache that Python runs in place of ``source``."""
+    # With the hash of the source, checked (PEP 552): as pytest writes its own.
+    return (
+        importlib.util.MAGIC_NUMBER
+        + b"\x03\0\0\0"
+        + importlib.util.source_hash(source.read_bytes())
+    )
+
+
+def test_a_forged_bytecode_cache_of_a_conftest_prevents_a_release(recorded) -> None:
+    """Python runs the cache; the release would list the source, which is harmless."""
+    conftest = recorded.write("conftest.py", "VALUE = 1\n")
+    assert run_as_user(recorded, "--twin-release").returncode == 0
+    # The run before left the cache that pytest keeps, and a second run uses it.
+    (cache,) = (recorded.root / "__pycache__").glob("conftest.*pytest*.pyc")
+    assert "still holds" in run_as_user(recorded, "--twin-release").stdout
+    code = compile("VALUE = 2\n", str(conftest), "exec")
+    cache.write_bytes(header_for(conftest) + marshal.dumps(code))
+    done = run_as_user(recorded, "--twin-release")
+    assert f"{cache}: is not the bytecode of conftest.py, and Python runs it" in done.stdout
+    assert recorded.releases == ["0001"]
+
+
+def test_bytecode_caches_of_test_modules_prevent_no_release(recorded) -> None:
+    recorded.write("conftest.py", "import helper\n")
+    recorded.write("helper.py", "VALUE = 1\n")
+    recorded.write("test_arm.py", "import helper\n\ndef test_it():\n    assert helper.VALUE\n")
+    for module in (True, False, True):
+        done = run_as_user(recorded, "--twin-release", module=module)
+        assert done.returncode == 0, done.stdout
+    assert list((recorded.root / "__pycache__").glob("helper.*.pyc"))
 
 
 @pytest.mark.parametrize("module", [False, True])
