@@ -5,22 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pytest_twin.checks import contact_primitives, contact_toss, proposals
-from pytest_twin.checks.base import (
-    Check,
-    Measure,
-    NothingToProposeError,
-    Observation,
-    Progress,
-    Trace,
-)
+from pytest_twin.checks import contact_primitives, contact_proposals, contact_toss
+from pytest_twin.checks.base import Check, Measure, Observation, Progress, Trace
 from pytest_twin.checks.contact_scene import FLOOR, OBJECT, SIZES, Scene
 from pytest_twin.checks.fields import GRAVITY_SCHEMA
 from pytest_twin.checks.poses import POSE_SCHEMA, keyframe_parts
 from pytest_twin.checks.scalar_measures import declared_measure, scalar_measures
 from pytest_twin.checks.schemas import array, choice, mapping, number, quantity_field, table, text
 from pytest_twin.dependency import Structure
-from pytest_twin.errors import TwinError
 from pytest_twin.golden import Golden
 from pytest_twin.metrics.pose import orientation_error, position_error, rotation_of
 
@@ -38,8 +30,6 @@ _SCALARS = {
     "slip": "m",
     "opening": "m",
 }
-_MASS = 0.2  # kg, of the object in first specs
-_LOAD = 1.962  # N, its weight; it is pressed as hard where it has none
 _UNDEFINED = {
     "penetration": "no contact to the end",
     "normal_force": "no contact to the end",
@@ -240,113 +230,5 @@ class Contact(Check):
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
-        """Propose specs that run on this robot.
-
-        An object is released on and pushed over a fixed body, or a free robot is released above a
-        floor, or a ball is pressed on the last link that it touches.
-        """
-        specs: list[Mapping[str, Any]] = []
-        for choices in _proposals(realization):
-            found = next((spec for spec in choices if self._rests(spec, realization)), None)
-            if found is not None:
-                specs.append(found)
-        if not specs:
-            raise NothingToProposeError(
-                "no body of the robot is touched at its pose by a ball, a box or a floor"
-            )
-        return specs
-
-    def _rests(self, spec: Mapping[str, Any], realization: Realization) -> bool:
-        """Whether a spec brings the pair into contact and gives all numbers to compare."""
-        trial = proposals.draft(self, realization, spec)
-        try:
-            values = self.observe(trial, realization, lambda _: None).values
-        except TwinError:
-            return False
-        load = values["normal_force"]
-        rests = load is not None and abs(load - _LOAD) < 0.02 * _LOAD
-        return values["onset_time"] > 0.0 and (rests or "normal_force" not in spec["tolerance"])
-
-
-def _proposals(realization: Realization) -> list[list[Mapping[str, Any]]]:
-    """Return first specs, each as a list of variants at different positions."""
-    from pytest_twin.realization import simulate
-
-    structure = realization.structure
-    given, colliding = realization.names("body"), structure.collision_bodies
-    # The robot and its base are not a support for objects.
-    robot = {b for body in structure.body_tree for b in structure.ancestors(body)}
-    furniture = colliding.intersection(given) - robot
-    named = [geom for geom, body in structure.geom_body.items() if body in furniture]
-    standing = [*named, *sorted(furniture - {"world", *(structure.geom_body[g] for g in named)})]
-    pose = {"pose": simulate.first_pose(realization)}
-    box = {"shape": "box", "size": [0.02, 0.02, 0.02], "mass": f"{_MASS:g} kg"}
-    rest = {"onset_time": "5 ms", "penetration": "0.1 mm", "normal_force": "0.1 N"}
-    if standing:
-        targets: list[dict[str, Any]] = [
-            {"pair": [OBJECT, base], "object": {**box, "offset": [x, y, 0.0]}}
-            for base in standing[:3]
-            for x, y in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.3), (-0.3, 0.0))
-        ]
-        release: list[Mapping[str, Any]] = [
-            {
-                "name": f"release_{target['pair'][1]}",
-                "title": f"A box let go above {target['pair'][1]}",
-                "target": {"primitive": "release", **target},
-                "stimulus": {"duration": "1.5 s", "gap": "20 mm", "others": "locked", **pose},
-                "tolerance": {**rest, "position": "1 mm", "rebound": "1 mm", "restitution": "5 %"},
-            }
-            for target in targets
-        ]
-        push = {"direction": [1.0, 0.0, 0.0], "force": f"{2.0 * _LOAD:.3g} N", "duration": "0.5 s"}
-        slide: list[Mapping[str, Any]] = [
-            {
-                "name": f"slide_{target['pair'][1]}",
-                "title": f"A box pushed over {target['pair'][1]}",
-                "target": {"primitive": "slide", **target},
-                "stimulus": {
-                    "duration": "0.5 s", "gap": "1 mm", "slide": push, "others": "locked", **pose
-                },
-                "tolerance": {**rest, "friction": "2 %", "slip_force": "0.1 N"},
-            }
-            for target in targets
-        ]  # fmt: skip
-        return [release, slide]
-    free = [joint for joint, kind in structure.joint_type.items() if kind == "free"]
-    touching = [body for body in given if body in structure.body_tree.keys() & colliding]
-    if free:
-        return [
-            [
-                {
-                    "name": f"release_{body}",
-                    "title": f"The robot let go above a floor, {body} first",
-                    "target": {"primitive": "release", "pair": [body, FLOOR], "floor": -5.0},
-                    "stimulus": {"duration": "0.3 s", "gap": "20 mm", **pose},
-                    "tolerance": {
-                        "onset_time": "5 ms",
-                        "position": "1 mm",
-                        "orientation": "5 mrad",
-                    },
-                }
-                for body in reversed(touching)
-            ]
-        ]
-    ball = {"shape": "sphere", "size": [0.02], "mass": f"{_MASS:g} kg"}
-    return [
-        [
-            {
-                "name": f"approach_{body}",
-                "title": f"A ball pressed on {body}",
-                "target": {"primitive": "approach", "pair": [OBJECT, body], "object": ball},
-                "stimulus": {
-                    "duration": "0.3 s",
-                    "gravity": False,
-                    "press": f"{_LOAD:g} N",
-                    "others": "locked",
-                    **pose,
-                },
-                "tolerance": {"onset_time": "5 ms", "position": "1 mm"},
-            }
-            for body in reversed(touching)
-        ]
-    ]
+        """Propose specs that run on this robot: see :mod:`contact_proposals`."""
+        return contact_proposals.first_specs(self, realization)

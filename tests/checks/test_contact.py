@@ -284,7 +284,7 @@ def test_a_floating_base_robot_is_released_onto_an_added_floor(tmp_path: Path) -
     found = observe(CHECK, golden_of(CHECK, landing), robot).values
     assert found["onset_time"] == pytest.approx(np.sqrt(2.0 * 0.02 / GRAVITY), abs=0.002)
     assert found["normal_force"] == pytest.approx(5.0 * GRAVITY, rel=1e-3)
-    assert [spec["name"] for spec in CHECK.first(robot)] == ["release_leg"]
+    assert [spec["name"] for spec in CHECK.first(robot)] == ["release_leg", "slide_over_foot"]
 
 
 @pytest.mark.parametrize(
@@ -366,8 +366,10 @@ def test_repeated_runs_of_a_contact_golden_are_identical(
 def test_proposed_contact_goldens_use_a_static_surface_and_pass(tmp_path: Path) -> None:
     robot = load_text(tmp_path, workcell())
     specs = CHECK.first(robot)
-    assert [spec["name"] for spec in specs] == ["release_table", "slide_table"]
-    for first in specs:
+    assert [spec["name"] for spec in specs] == [
+        *("release_table", "slide_table", "slide_over_right_pad", "slide_over_tip"),
+    ]
+    for first in specs[:2]:
         golden, trace = recorded(CHECK, first, robot)
         measures = measures_on(CHECK, golden, trace, robot)
         assert "normal_force" in measures
@@ -433,18 +435,51 @@ def test_an_added_object_has_its_mass_if_the_model_ignores_geom_inertia(tmp_path
     assert found["normal_force"] == pytest.approx(MASS * GRAVITY + 3.0, rel=1e-4)
 
 
-def test_for_an_arm_alone_a_contact_with_a_ball_is_proposed(tmp_path: Path) -> None:
-    text = """
+ARM_ALONE = """
     <mujoco><worldbody>
       <body name="link"><joint axis="0 1 0" damping="1"/>
       <geom type="capsule" size=".03" fromto="0 0 0 .4 0 0"/></body></worldbody></mujoco>"""
-    robot = load_text(tmp_path, text)
+
+
+def test_for_an_arm_alone_a_ball_pushed_over_its_link_is_proposed(tmp_path: Path) -> None:
+    robot = load_text(tmp_path, ARM_ALONE)
     (first,) = CHECK.first(robot)
-    assert first["name"] == "approach_link"
+    assert first["name"] == "slide_over_link"
     golden, trace = recorded(CHECK, first, robot)
     measures = measures_on(CHECK, golden, trace, robot)
-    assert set(measures) == {"onset_time", "position"}
+    assert set(measures) == {"onset_time", "position", "friction"}
     assert failed(measures) == set()
+
+
+def test_a_ball_that_does_not_slip_is_only_pressed_on_the_link(tmp_path: Path) -> None:
+    sticky = ARM_ALONE.replace("<geom", '<geom friction="9"')
+    assert [s["name"] for s in CHECK.first(load_text(tmp_path, sticky))] == ["approach_link"]
+
+
+FEET = """
+    <mujoco><worldbody>{floor}<body name="trunk" pos="0 0 .3"><freejoint/>
+      <geom type="box" size=".2 .1 .05" friction=".8"/>
+      <body name="leg"><joint name="hip" axis="0 1 0"/>
+        <geom type="capsule" size=".02" fromto="0 0 0 0 0 -.2" friction=".8"/>
+        <geom name="{foot}" size=".03" pos="0 0 -.22" friction="{friction}"/>
+      </body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("floor", ["", '<geom name="ground" type="plane" size="0 0 1"/>'])
+@pytest.mark.parametrize("foot", ["foot", ""])
+def test_a_proposed_golden_shows_the_friction_of_a_foot(
+    floor: str, foot: str, tmp_path: Path
+) -> None:
+    """Both frictions are below that of the floor, which MuJoCo then takes for foot and floor."""
+    walker = load_text(tmp_path, FEET.format(floor=floor, foot=foot, friction=0.6))
+    changed = load_text(tmp_path, FEET.format(floor=floor, foot=foot, friction=0.9))
+    fails = []
+    for first in CHECK.first(walker):
+        golden, trace = recorded(CHECK, first, walker)
+        assert failed(measures_on(CHECK, golden, trace, walker)) == set()
+        if failed(measures_on(CHECK, golden, trace, changed)):
+            fails.append(first["name"])
+    assert fails == ["slide_over_foot" if foot else "slide_over_leg_1"]
 
 
 def test_contact_force_and_normal_act_on_the_first_body_of_the_pair(tmp_path: Path) -> None:

@@ -90,6 +90,8 @@ FAULTS = {
         'gear="20"',
         'gear="21"',
         {
+            "lift: negative effort limit": 1.0,
+            "lift: positive effort limit": 1.0,
             "lift: negative effort, commanded past": 1.0,
             "lift: positive effort, commanded past": 1.0,
         },
@@ -285,3 +287,14 @@ def test_proposed_limit_goldens_pass_and_push_weak_stops_less(tmp_path: Path) ->
             CHECK, target=spec["target"], stimulus=spec["stimulus"], tolerance=spec["tolerance"]
         )
         assert failed(measure(CHECK, record(CHECK, first, weak), weak)) == []
+
+
+def test_a_motor_limited_by_its_control_range_gets_an_effort_limit(tmp_path: Path) -> None:
+    text = """<mujoco><compiler angle="radian"/><worldbody><body name="link">
+      <joint name="knee" axis="0 1 0" range="-1 1"/><geom size=".1"/></body></worldbody>
+      <actuator><motor name="knee" joint="knee" gear="15" ctrlrange="{} 3"/></actuator></mujoco>"""
+    (spec,) = CHECK.first(robot(tmp_path, text.format(-3)))
+    assert spec["target"]["joints"]["knee"]["effort"] == pytest.approx(45.0)
+    recorded = golden(CHECK, **{key: spec[key] for key in ("target", "stimulus", "tolerance")})
+    weaker = measure(CHECK, recorded, robot(tmp_path, text.format(-2)))
+    assert "knee: negative effort limit" in [measure.subject for measure in failed(weaker)]
