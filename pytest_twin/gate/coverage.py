@@ -20,7 +20,7 @@ class Gap:
     """Something that a release does not test.
 
     Attributes:
-        name: a few words for a headline.
+        name: a few words for a headline; empty where the headline does not need it.
         sentence: what is missing, and what adds it.
     """
 

@@ -20,6 +20,7 @@ from pytest_twin.gate.failure_diagnosis import RealizationDiagnosis
 from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.plan import NEVER_PROVEN, Task, lacks_record, line_of
 from pytest_twin.gate.runner import plot_path
+from pytest_twin.gate.unexamined import unexamined_changes
 from pytest_twin.gate.verdict import Facts, Refused, Releasable, SessionFacts, StillValid, judge
 from pytest_twin.outcome import Outcome
 from pytest_twin.report.model import Entry, Report
@@ -76,7 +77,7 @@ def finish(
     """
     plan = gate.plan()
     facts = gate.facts(session)
-    untested = gaps(_results(facts)) if policy.sign else ()
+    untested = _untested(gate, facts) if policy.sign else ()
     lines = [*(gap.sentence for gap in untested), *plan.notes]
     proven = facts.proven.keys() - facts.outcomes.keys()
     if proven and plan.baseline is not None:
@@ -136,6 +137,11 @@ def _results(facts: Facts) -> list[Outcome]:
     return list({**facts.proven, **facts.outcomes}.values())
 
 
+def _untested(gate: Gate, facts: Facts) -> tuple[Gap, ...]:
+    """What the goldens of the release do not test, changes since the baseline included."""
+    return gaps(_results(facts)) + unexamined_changes(gate.plan(), facts.outcomes)
+
+
 def _write_report_with_notice(
     gate: Gate,
     facts: Facts,
@@ -175,12 +181,11 @@ def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]
     plan = gate.plan()
     signer, notes = release.signer(gate.root, policy.key, policy.ini_key)
     proofs = tuple(_proof(gate, task, facts) for task in plan.tasks.values())
-    used = {ident for proof in proofs for ident in proof.parts}
     draft = release.Draft(
         twin=gate.twin.name,
         valid_days=gate.twin.release.valid_days,
         ids=gate.ids(),
-        parts={i: part for i, part in gate.parts_after_the_run().items() if i in used},
+        parts=gate.parts_after_the_run(),
         proofs=proofs,
         environment=release.environment(),
         files={**plan.files, **gate.process.files},
@@ -220,7 +225,7 @@ def _report(
     from pytest_twin.release import environment
 
     plan = gate.plan()
-    untested = gaps(_results(facts)) if verdict is not None else ()
+    untested = _untested(gate, facts) if verdict is not None else ()
     failed = [
         outcome
         for outcome in facts.outcomes.values()
@@ -266,7 +271,7 @@ def _headline(
         counts += f", {not_run} not run"
     if isinstance(verdict, Refused):
         return f"{verdict.reasons[0]} ({counts})"
-    return "; ".join((*(gap.name for gap in untested), counts))
+    return "; ".join((*(gap.name for gap in untested if gap.name), counts))
 
 
 def _entries(gate: Gate, facts: Facts, diagnoses: Mapping[str, str]) -> Iterator[Entry]:

@@ -114,7 +114,7 @@ class Draft:
         valid_days: validity of the release, days.
         ids: IDs of asset, realizations, calibration, fit, controllers, payloads, firmware and
             other declared parts.
-        parts: part id -> part, for all parts that goldens depend on.
+        parts: part id -> part, also of those that no golden depends on.
         proofs: results of all goldens on all realizations.
         environment: software environment of the run.
         files: file -> SHA-256 before the run. Files in the twin's folder are copied, others are

@@ -68,6 +68,7 @@ def test_in_a_project_without_a_twin_only_the_plugin_module_is_imported(
         "def test_nothing():\n"
         "    ours = {name for name in sys.modules if name.startswith('pytest_twin')}\n"
         "    assert ours <= {'pytest_twin', 'pytest_twin.errors', 'pytest_twin.plugin',\n"
+        "                    'pytest_twin.record_spec',\n"
         "                    'pytest_twin.session', 'pytest_twin.session.options',\n"
         "                    'pytest_twin.session.release_fixture',\n"
         "                    'pytest_twin.session.result_folders', 'pytest_twin.systems'}, ours\n"
