@@ -12,6 +12,8 @@ How a trial becomes a simulation:
   commanded.
 - Filters and delays of actuators start in the steady state of the first command. The integrators
   of servos start with the value that supports the load.
+- Where the pose of a floating base was recorded, the base moves along it, and the joints feel its
+  acceleration (``realization/driven_base.py``).
 - An effort command on a joint without any actuator acts on the joint itself.
 - Between steps, positions follow the cubic through positions and velocities of both ends (error
   of the order of step^4; of a straight line, step^2), velocities are linear; ``effort`` is the one
@@ -36,6 +38,14 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
+from pytest_twin.realization.driven_base import (
+    BaseCourse,
+    armature,
+    course_along,
+    free_joint_of,
+    heavy_base,
+    offset_of,
+)
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.first_state import (
     follow_joint_equalities,
@@ -135,7 +145,10 @@ def replay(
         notes.append(said)
         rows.append(Row(trial, variant.model, calibration_of(realization), realization.path))
     replayed = replay_rows(rows, threads=threads, progress=progress)
-    return [replace(result, notes=said) for result, said in zip(replayed, notes, strict=True)]
+    return [
+        replace(result, notes=(*result.notes, *said))
+        for result, said in zip(replayed, notes, strict=True)
+    ]
 
 
 def row_of(realization: Realization, trial: Trial) -> Row:
@@ -233,7 +246,9 @@ class Run:
         self.dof_index = self.model.jnt_dofadr[self.joint_ids]
         self.encoders = Encoders.of(row.calibration, self.trial.joints)
         self.applies_effort = False
+        self.notes: tuple[str, ...] = ()
         self._locate_samples()
+        self.base_joint, self.base = self._base_course()
         self._set_first_state(data)
         self._compute_commands(data)
         data.ctrl[:] = self.values[0, : self.model.nu]
@@ -273,8 +288,47 @@ class Run:
         # One step past the last stamp: the interpolation needs the state at the end of its step.
         self.steps = int(self.sample_step[-1]) + 1
 
+    def _base_course(self) -> tuple[int, BaseCourse | None]:
+        """The free joint of the base and its recorded course; the model then follows it.
+
+        Raises:
+            SpecError: the recorded joints are not carried by one free joint.
+        """
+        motion = self.trial.base
+        if motion is None:
+            return -1, None
+        joint = free_joint_of(self.model, self.joint_ids)
+        if joint is None:
+            raise SpecError(
+                "the recorded joints are not carried by one floating base", path=self.row.source,
+                expected="one free joint at the base of the robot, whose pose is recorded",
+            )  # fmt: skip
+        position, quaternion = motion.at(
+            np.asarray(self.timestep * np.arange(self.steps + 1), dtype=np.float64)
+        )
+        base_name = self.model.body(self.model.jnt_bodyid[joint]).name
+        if motion.frame and motion.frame != base_name:
+            offset = offset_of(self.model, joint, motion.frame)
+            if offset is None:
+                self.notes = (
+                    f"{motion.source}: the model has no body or site {motion.frame!r} that is "
+                    f"rigid with its base: its pose is taken as that of {base_name!r}",
+                )
+            else:
+                position, quaternion = _moved(position, quaternion, *offset)
+        self.model = heavy_base(self.model, joint)
+        self.applies_effort = True
+        return joint, course_along(position, quaternion, self.timestep, armature(self.model))
+
     def _set_first_state(self, data: mujoco.MjData) -> None:
         mujoco.mj_resetData(self.model, data)
+        if self.base is not None:
+            at, dof = (
+                self.model.jnt_qposadr[self.base_joint],
+                self.model.jnt_dofadr[self.base_joint],
+            )
+            data.qpos[at : at + len(self.base.qpos)] = self.base.qpos
+            data.qvel[dof : dof + len(self.base.qvel)] = self.base.qvel
         data.qpos[self.qpos_index] = self.encoders.model_position(self.trial.position[0])
         if self.trial.velocity is not None:
             velocity = self.encoders.model_velocity(self.trial.velocity[0])
@@ -322,6 +376,15 @@ class Run:
 
     def controls(self, begin: int, end: int, out: FloatArray) -> None:
         """Write the controls of steps ``begin`` to ``end`` into ``out`` (steps, controls)."""
+        self._command_controls(begin, end, out)
+        if self.base is not None:
+            dof = self.model.nu + self.model.jnt_dofadr[self.base_joint]
+            force = self.base.force[begin:end]
+            out[: len(force), dof : dof + force.shape[1]] = force
+            # Steps after the last sample go on at the last velocity.
+            out[len(force) :, dof : dof + force.shape[1]] = 0.0
+
+    def _command_controls(self, begin: int, end: int, out: FloatArray) -> None:
         width = out.shape[1]
         if self.interpolated is not None:
             until = np.asarray(self.timestep * np.arange(begin, end + 1), dtype=np.float64)
@@ -395,7 +458,20 @@ class Run:
             effort=self.encoders.signed(self.effort),
             qpos=self.qpos,
             error=self.error,
+            notes=self.notes,
         )
+
+
+def _moved(
+    position: FloatArray, quaternion: FloatArray, offset: FloatArray, turn: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Poses of a frame at a constant offset (m) and orientation (w x y z) in a moving frame."""
+    moved, turned = np.empty_like(position), np.empty_like(quaternion)
+    for row, (at, orientation) in enumerate(zip(position, quaternion, strict=True)):
+        mujoco.mju_rotVecQuat(moved[row], offset, orientation)
+        moved[row] += at
+        mujoco.mju_mulQuat(turned[row], orientation, turn)
+    return moved, turned
 
 
 def _hermite(

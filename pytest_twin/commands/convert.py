@@ -190,6 +190,8 @@ def convert_series(
                 effort=command.effort if mode == "effort" else None,
             )
             notes.append(f"the commands are taken as {mode} commands")
+    if recording.base is not None:
+        notes.append(f"the poses of the base ({recording.base.source}) are not written")
     notes += doubts(replace(recording, series=series))
     earliest = min(int(one.stamp.min()) for one in series.values())
     earliest = min(earliest, *(int(one.log_time.min()) for one in series.values()))

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+from pytest_twin.formats.base_pose import ROLE
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.recording_options import (
     BASES,
@@ -90,7 +91,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "--base",
         choices=BASES,
         help="fixed: a rig held the robot, so that the model's floating base stays where it is "
-        "(default: a floating base is refused, because joint states have no pose)",
+        "(default: a floating base moves along its recorded pose, and is refused without one)",
     )
     add_reading_arguments(group)
 
@@ -104,7 +105,7 @@ def add_topics_argument(group: argparse._ActionsContainer, before: str = "") -> 
         default={},
         help=f"topics of the recordings (default: {before}"
         + ",".join(f"{role}={topic}" for role, topic in TOPICS.items())
-        + ")",
+        + f"); {ROLE}=/z for the pose of a floating base",
     )
 
 
@@ -188,9 +189,10 @@ def parse_topics(text: str) -> dict[str, str]:
     found: dict[str, str] = {}
     for item in text.split(","):
         role, separator, topic = item.partition("=")
-        if not separator or role not in TOPICS or not topic or role in found:
+        if not separator or role not in (*TOPICS, ROLE) or not topic or role in found:
             raise argparse.ArgumentTypeError(
-                f"{text!r}: expected state=/x,command=/y or one of them"
+                f"{text!r}: expected state=/x,command=/y or one of them, and {ROLE}=/z for the "
+                "pose of a floating base"
             )
         found[role] = topic
     return found

@@ -68,6 +68,7 @@ def survey(
                     "value": trials[0].command_between,
                     "source": trials[0].between_source,
                 },
+                "base_moves": trials[0].base is not None,
             }
             notes = list(dict.fromkeys(note for trial in trials for note in trial.notes))
             advice = _advice(recording)
@@ -257,15 +258,17 @@ def in_words(
     between = usable["command_between"]
     parts = len(usable["trials"])
     in_parts = "" if parts == 1 else f", in {parts} parts between gaps"
+    what = "replay" if usable["base_moves"] else "diagnosis"
     seconds = sum(trial["duration"] for trial in usable["trials"])
     lines.append(
-        f"A diagnosis can use {seconds:.4g} s of it{in_parts}: "
+        f"A {what} can use {seconds:.4g} s of it{in_parts}: "
         f"{join_words(modes)} commands of {', '.join(usable['command_modes'])}, "
         f"{between['value']} between stamps ({between['source']})."
     )
+    ending = "--out predicted.mcap" if usable["base_moves"] else "... --out diagnosis"
+    command = "replay" if usable["base_moves"] else "diagnose"
     lines.append(
-        f"next: pytest-twin diagnose {model or 'MODEL'} {one['recording']} ...{options} "
-        "--out diagnosis"
+        f"next: pytest-twin {command} {model or 'MODEL'} {one['recording']}{options} {ending}"
     )
     return lines
 

@@ -27,6 +27,7 @@ from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.mjcf import compile_spec
 from pytest_twin.trial import Trial
+from pytest_twin.trial.floating_base import refuse_moving_base
 
 WINDOW = 0.5
 """Length of windows, s; halved if the discretization error of a window is too large."""
@@ -81,7 +82,9 @@ def segments_of(
 
     Raises:
         SpecError: the model lacks the trial's controller or payload.
+        RecordingError: the base of the robot moved.
     """
+    refuse_moving_base(trial.path, trial.base)
     recorded = replace(
         _whole_trial_segment(realization, trial, index, joints, cold_fraction),
         has_friction_creep=has_friction_creep,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pytest_twin.formats.base_pose import BasePoses
 from pytest_twin.formats.ros_serialization import Floats, Integers
 
 DEGREE = math.pi / 180.0
@@ -111,6 +112,7 @@ class Recording:
         damage: defects of the file or of the times; empty for an undamaged file.
         notes: assumptions about what the file does not state, one line each.
         topics: all topics of the file, whatever their type; empty for a format without topics.
+        base: poses of the robot's floating base, where the recording has them.
     """
 
     path: Path
@@ -119,6 +121,7 @@ class Recording:
     damage: tuple[Damage, ...]
     notes: tuple[str, ...] = ()
     topics: tuple[Topic, ...] = ()
+    base: BasePoses | None = None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,14 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats.ros_serialization import Cursor, Encoding, MessageError
 
-POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+_ODOMETRY = "nav_msgs/msg/Odometry"
+POSES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    _ODOMETRY,
+)
+"""Types whose messages begin with a header and a pose; the rest of a message is not read."""
 TRANSFORMS = ("tf2_msgs/msg/TFMessage",)
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
@@ -69,7 +76,7 @@ def poses_of(message: bytes, kind: str, encoding: Encoding) -> list[StampedMessa
         if count > MOST_TRANSFORMS:
             raise MessageError(f"{count} transforms, more than {MOST_TRANSFORMS}")
         return [_stamped_message(cursor, named=True) for _ in range(count)]
-    return [_stamped_message(cursor, named=kind.endswith("TransformStamped"))]
+    return [_stamped_message(cursor, named=kind.endswith("TransformStamped") or kind == _ODOMETRY)]
 
 
 def picture_of(message: bytes, kind: str, encoding: Encoding) -> Picture:

@@ -20,7 +20,11 @@ from pytest_twin.signals import Signals
 from pytest_twin.trial import recordings_at
 from pytest_twin.trial.command_field import choose_command_fields
 from pytest_twin.trial.dropouts import without_dropouts
-from pytest_twin.trial.floating_base import check_floating_base
+from pytest_twin.trial.floating_base import (
+    check_floating_base,
+    is_floating,
+    refuse_moving_base,
+)
 from pytest_twin.trial.joint_side import (
     add_shared_efforts,
     effort_factor,
@@ -135,6 +139,8 @@ def read_measured(
         refuse_final(recording.metadata, path, "an identification")
         recording = without_dropouts(recording)
         series, named = _commands_or_states(recording, "state", realization, topics, options)
+        if is_floating(realization.structure, series.names):
+            refuse_moving_base(recording.path, recording.base)
         loose = check_floating_base(realization.structure, series.names, recording.path)
         commanded, notes = _commands_at_states(recording, series, realization, topics, options)
         at_joints = _at_joints(series, commanded, recording, signals)

@@ -7,16 +7,21 @@ from pathlib import Path
 
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
+from pytest_twin.formats.base_pose import BasePoses
+from pytest_twin.trial.base_motion import BaseMotion
 from pytest_twin.words import list_names
 
 
-def check_floating_base(structure: Structure, recorded: Sequence[str], path: Path) -> list[str]:
+def check_floating_base(
+    structure: Structure, recorded: Sequence[str], path: Path, *, has_pose: bool = False
+) -> list[str]:
     """Check that nothing that carries the recorded joints moves freely.
 
     Args:
         structure: structure of the model.
         recorded: recorded joints, with the model's names.
         path: path of the recording, for errors.
+        has_pose: whether the pose of a base with a free joint was recorded and is used.
 
     Returns:
         A note on joints that could be recorded, are not, and move freely.
@@ -35,6 +40,8 @@ def check_floating_base(structure: Structure, recorded: Sequence[str], path: Pat
         while body is not None:
             for carrier in by_body.get(body, ()):
                 kind = structure.joint_type[carrier]
+                if has_pose and kind == "free":
+                    continue
                 if kind in ("free", "ball") and not _is_held(structure, body):
                     raise _floats(kind, joint, path)
                 carrying[carrier] = None
@@ -46,6 +53,37 @@ def check_floating_base(structure: Structure, recorded: Sequence[str], path: Pat
         f"not recorded, and nothing in the model holds them: {list_names(free)}; they carry "
         "recorded joints, start at the model's reference and move freely"
     ]
+
+
+def is_floating(structure: Structure, recorded: Sequence[str]) -> bool:
+    """Whether a free joint carries one of the recorded joints."""
+    free = {structure.joint_body[j] for j, kind in structure.joint_type.items() if kind == "free"}
+    for joint in recorded:
+        body = structure.joint_body.get(joint)
+        while body is not None:
+            if body in free and not _is_held(structure, body):
+                return True
+            body = structure.body_parent.get(body)
+    return False
+
+
+def refuse_moving_base(path: Path, base: BaseMotion | BasePoses | None) -> None:
+    """Check that the base of the robot does not move, for what estimates effects.
+
+    Args:
+        path: path of the recording.
+        base: recorded motion of a floating base.
+
+    Raises:
+        RecordingError: it moves along a recorded pose.
+    """
+    if base is not None:
+        raise RecordingError(
+            "effects are not estimated along the recorded pose of a floating base",
+            path=path, where=base.source,
+            expected="a robot that a rig held: --base fixed, or 'base: fixed' in twin.yaml; replay "
+            "and its goldens follow the pose",
+        )  # fmt: skip
 
 
 def _is_held(structure: Structure, body: str) -> bool:
@@ -64,5 +102,6 @@ def _floats(kind: str, joint: str, path: Path) -> RecordingError:
         "not say where it is",
         path=path,
         value="joint states alone",
-        expected="a robot that a rig held: --base fixed, or 'base: fixed' in twin.yaml",
+        expected="a robot that a rig held: --base fixed, or 'base: fixed' in twin.yaml; or its "
+        "pose: --topics base=TOPIC, or columns base.x y z qw qx qy qz of a CSV file",
     )

@@ -164,6 +164,7 @@ def part_of(
         ),
         offset=trial.offset + first,
         parts=parts,
+        base=None if trial.base is None else trial.base.shifted(first),
     )
 
 

@@ -20,6 +20,7 @@ from pytest_twin.recording_options import (
     RecordingOptions,
 )
 from pytest_twin.signals import Signals
+from pytest_twin.trial.base_motion import base_motion
 from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
 from pytest_twin.trial.command_span import (
@@ -30,7 +31,7 @@ from pytest_twin.trial.command_span import (
     without_other_modes,
 )
 from pytest_twin.trial.dropouts import without_dropouts
-from pytest_twin.trial.floating_base import check_floating_base
+from pytest_twin.trial.floating_base import check_floating_base, is_floating
 from pytest_twin.trial.gaps import stretches
 from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
 from pytest_twin.trial.joints import in_model_names, metres_of_slides, name_by_actuators
@@ -119,7 +120,9 @@ def _whole(
         notes += said
     states, commands = topics
     if structure is not None:
-        notes += check_floating_base(structure, states.names, recording.path)
+        notes += check_floating_base(
+            structure, states.names, recording.path, has_pose=recording.base is not None
+        )
     if states.position is None:
         raise RecordingError(
             "no state has positions",
@@ -140,9 +143,17 @@ def _whole(
         maker = _Maker(recording, structure, commanded, options.signals)
         trial = maker.trial(*piece)
         own = (*notes, *maker.notes) if not trials else tuple(maker.notes)
+        base = None
+        floats = structure is not None and is_floating(structure, trial.joints)
+        if recording.base is not None and floats:
+            end = max(trial.duration, float(trial.command_time[-1]) if len(trial.time) == 1 else 0)
+            base = base_motion(recording.base, trial.start, end, recording.path)
+            own = (*own, base.note())
+        elif recording.base is not None and structure is not None:
+            own = (*own, f"{recording.base.source}: not used, the model's base does not float")
         whole = replace(
-            trial, notes=own, command_between=between, between_source=source, offset=since,
-            parts=len(clocked.pieces), unnamed=frozenset(unnamed),
+            trial, base=base, notes=own, command_between=between, between_source=source,
+            offset=since, parts=len(clocked.pieces), unnamed=frozenset(unnamed),
         )  # fmt: skip
         trials += without_other_modes(whole, maker.other_modes)
         since += trial.duration

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.recording_options import COMMAND_MODES, CommandBetween, CommandMode
+from pytest_twin.trial.base_motion import BaseMotion
 from pytest_twin.trial.setpoint import Setpoint, setpoint
 
 MarkKind = Literal[
@@ -84,6 +85,7 @@ class Trial:
         parts: number of parts into which the recording was split.
         unnamed: roles (``state``, ``command``) whose messages name no joints; these have the order
             of the model's actuators.
+        base: motion of the floating base, where its pose was recorded.
     """
 
     path: Path
@@ -106,6 +108,7 @@ class Trial:
     offset: float = 0.0
     parts: int = 1
     unnamed: frozenset[str] = frozenset()
+    base: BaseMotion | None = None
 
     @property
     def command_mode(self) -> CommandMode | Literal["mixed"]:

@@ -15,6 +15,7 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 POSE, WRENCH, IMU = (
     "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/Imu",
 )  # fmt: skip
+ODOMETRY, STATES = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 
 
 def _made(name: str, *values: Any) -> Any:
@@ -22,7 +23,10 @@ def _made(name: str, *values: Any) -> Any:
 
 
 def message(kind: str, stamp: int, values: Sequence[float], frame: str = "sensor") -> Any:
-    """A ROS message: pose (xyz, qx qy qz qw), wrench (6) or IMU (angular rate, acceleration)."""
+    """A ROS message: pose (xyz, qx qy qz qw), wrench (6) or IMU (angular rate, acceleration).
+
+    Of odometry ``frame`` is the child's; joint states are of j0, j1, ...
+    """
     numbers = [float(value) for value in values]
     time = _made("builtin_interfaces/msg/Time", *divmod(stamp, 1_000_000_000))
     header = _made("std_msgs/msg/Header", time, frame)
@@ -30,10 +34,21 @@ def message(kind: str, stamp: int, values: Sequence[float], frame: str = "sensor
     def vector(three: Sequence[float]) -> Any:
         return _made("geometry_msgs/msg/Vector3", *three)
 
-    if kind == POSE:
+    if kind in (POSE, ODOMETRY):
         point = _made("geometry_msgs/msg/Point", *numbers[:3])
         turn = _made("geometry_msgs/msg/Quaternion", *numbers[3:])
-        return _made(kind, header, _made("geometry_msgs/msg/Pose", point, turn))
+        pose = _made("geometry_msgs/msg/Pose", point, turn)
+        if kind == POSE:
+            return _made(kind, header, pose)
+        unknown = np.zeros(36)
+        twist = _made("geometry_msgs/msg/Twist", vector(np.zeros(3)), vector(np.zeros(3)))
+        return _made(
+            kind, header, frame, _made("geometry_msgs/msg/PoseWithCovariance", pose, unknown),
+            _made("geometry_msgs/msg/TwistWithCovariance", twist, unknown),
+        )  # fmt: skip
+    if kind == STATES:
+        names = [f"j{at}" for at in range(len(numbers))]
+        return _made(kind, header, names, np.array(numbers), np.zeros(0), np.zeros(0))
     if kind == WRENCH:
         wrench = _made("geometry_msgs/msg/Wrench", vector(numbers[:3]), vector(numbers[3:]))
         return _made(kind, header, wrench)

@@ -345,7 +345,7 @@ def test_the_next_command_reads_the_recording_as_this_one_did(
     options = ["--topics", "state=/a/s,command=/a/c", "--command-between", "interpolated"]
     arguments = ["show", str(tmp_path / "arm.xml"), str(tmp_path / "log.mcap"), *options]
     assert cli.main(arguments) == 0
-    expected = f"{tmp_path / 'log.mcap'} ... {' '.join(options)} --out diagnosis"
+    expected = f"{tmp_path / 'log.mcap'} {' '.join(options)} ... --out diagnosis"
     assert expected in capsys.readouterr().out
 
 

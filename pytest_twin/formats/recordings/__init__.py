@@ -15,9 +15,10 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from pytest_twin.errors import FormatError, PathError
+from pytest_twin.formats import base_pose
 from pytest_twin.formats.paths import follow
 from pytest_twin.formats.recording import TOPICS, Recording
-from pytest_twin.formats.recordings.base import Reader, ReadingOptions
+from pytest_twin.formats.recordings.base import BagReader, Reader, ReadingOptions
 from pytest_twin.installed import is_own, load_plugin, refuse_stale_installation
 from pytest_twin.words import list_names
 
@@ -44,7 +45,7 @@ def read_recordings(
 
     Args:
         path: a file or folder; links are refused.
-        topics: role (``state``, ``command``) -> topic, for formats with topics.
+        topics: role (``state``, ``command``, ``base``) -> topic, for formats with topics.
         columns: for a CSV file: header -> meaning of the column (``time``, ``elbow.position``),
             or the inverse mapping.
         units: ``deg`` or ``rad``, or for a LeRobot data set ``percent``, if the recording states no
@@ -68,10 +69,15 @@ def read_recordings(
             "motor calibrations and per cent are of LeRobot data sets", path=path,
             value=reader.kind, expected="no --motor-calibration, and --units rad or deg",
         )  # fmt: skip
+    base = topics.get(base_pose.ROLE)
+    topics = {role: topic for role, topic in topics.items() if role != base_pose.ROLE}
     options = ReadingOptions(
         topics, columns or {}, units, time_unit, motor_calibration, has_signals
     )
     found = list(reader.read(path, options))
+    if base is not None and isinstance(reader, BagReader):
+        poses = base_pose.poses_of_topic(path, base)
+        found = [replace(one, base=poses) for one in found]
     return [_from_degrees(one) for one in found] if units == "deg" else found
 
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_twin.errors import FormatError, LimitError
-from pytest_twin.formats import limits
+from pytest_twin.formats import base_pose, limits
 from pytest_twin.formats.recording import Damage, JointSeries, Recording
 from pytest_twin.formats.recordings.base import ReadingOptions
 from pytest_twin.formats.recordings.csv_dialect import GZIP_SUFFIX, csv_bytes, plain_table
@@ -100,11 +100,15 @@ class _Table:
         """Return index of the column -> meaning; the column of times is stored separately."""
         mapped = self.mapped()
         self.left_out: list[str] = []
+        self.base: dict[int, str] = {}
         self.time_at = self.time_column(mapped)
         found: dict[int, Column] = {}
         keys: set[tuple[str, str, str | None]] = set()
         for at, heading in enumerate(self.header):
             if at == self.time_at:
+                continue
+            if heading in base_pose.COLUMNS:
+                self.base[at] = heading
                 continue
             column = self.column(heading, mapped.get(heading))
             if column is None:
@@ -233,7 +237,10 @@ class _Table:
                 series[role] = one
                 damage += _time_damage(one)
         metadata, note = metadata_beside(self.path)
-        return Recording(self.path, series, metadata, tuple(damage), (*notes, *note))
+        base = base_pose.poses_of_columns(
+            self.path, time, {heading: values[at] for at, heading in self.base.items()}
+        )
+        return Recording(self.path, series, metadata, tuple(damage), (*notes, *note), base=base)
 
     def series(
         self, role: str, topic: str, time: Integers, values: Mapping[int, Floats]
@@ -303,7 +310,13 @@ class _Table:
         unit = self.options.time_unit or unit_in_heading(self.header[self.time_at])
         unit = unit or unit_named(stated)
         body = Body(
-            self.path, self.body, self.header, self.time_at, self.columns, self.line + 1, unit
+            self.path,
+            self.body,
+            self.header,
+            self.time_at,
+            {**self.columns, **self.base},
+            self.line + 1,
+            unit,
         )
         time, values, note = body.numbers()
         if note:
