@@ -184,10 +184,12 @@ def write_bag(folder: Path) -> None:
         for k in range(200):
             stamp = 1_000_000_000 + 20_000_000 * k
             wanted = np.array([0.3 * math.sin(0.02 * k)])
-            message = state(
-                header(time(*divmod(stamp, 1_000_000_000)), ""), ["elbow"], wanted, empty, empty
-            )
-            for topic in topics:
+            error = np.array([0.001 * math.cos(0.3 * k)])
+            for topic, position in zip(topics, (wanted + error, wanted), strict=True):
+                message = state(
+                    header(time(*divmod(stamp, 1_000_000_000)), ""), ["elbow"], position, empty,
+                    empty,
+                )  # fmt: skip
                 writer.write(topic, stamp, store.serialize_cdr(message, JOINT_STATE))
 
 
