@@ -40,7 +40,7 @@ def warm() -> None:
     import pinocchio  # noqa: F401
 
     import pytest_twin.asset.realize
-    import pytest_twin.audit.run
+    import pytest_twin.audit.audit_file
 
     del pytest_twin
 
@@ -122,7 +122,7 @@ def _run(child: Sandbox, path: Path, name: Path) -> Entry:
     folder = Path(tempfile.mkdtemp(prefix="assets-"))
     try:
         start = time.perf_counter()
-        found = child.call("pytest_twin.audit.run:audit_file", {"path": str(path)})
+        found = child.call("pytest_twin.audit.audit_file:audit_file", {"path": str(path)})
         entry.times["audit"] = time.perf_counter() - start
         for finding in found["findings"]:
             severity = finding["severity"]

@@ -180,7 +180,7 @@ def replay_rows(
     for row in rows:
         if id(row.model) not in scratch:
             scratch[id(row.model)] = mujoco.MjData(row.model)
-        runs.append(Run(row, scratch[id(row.model)]))
+        runs.append(RowSimulation(row, scratch[id(row.model)]))
     total = max(1, sum(run.steps for run in runs))
     done = 0
 
@@ -229,7 +229,7 @@ def measured_qpos(realization: Realization, replayed: Replayed) -> FloatArray:
     return qpos
 
 
-class Run:
+class RowSimulation:
     """A row while it is stepped: its controls at each step, and its states at the stamps.
 
     Args:
@@ -489,9 +489,9 @@ def _hermite(
     return curved
 
 
-def _batches(runs: Iterable[Run]) -> list[list[Run]]:
+def _batches(runs: Iterable[RowSimulation]) -> list[list[RowSimulation]]:
     """Group the runs that one batch can step: equal array sizes, and all or none apply efforts."""
-    groups: dict[tuple[object, ...], list[Run]] = {}
+    groups: dict[tuple[object, ...], list[RowSimulation]] = {}
     for run in runs:
         m = run.model
         key = (
@@ -503,7 +503,7 @@ def _batches(runs: Iterable[Run]) -> list[list[Run]]:
     return list(groups.values())
 
 
-def _step(runs: list[Run], threads: int, advance: Callable[[int], None]) -> None:
+def _step(runs: list[RowSimulation], threads: int, advance: Callable[[int], None]) -> None:
     model = runs[0].model
     batch = mujoco_batch.Batch(model, nsim=len(runs), nthread=threads)
     if any(run.model is not model for run in runs):

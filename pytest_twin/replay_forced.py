@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.open_loop import Replayed, Row, Run
+from pytest_twin.open_loop import Replayed, Row, RowSimulation
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
 Force = Callable[[float, FloatArray, FloatArray], FloatArray]
@@ -33,7 +33,7 @@ def replay_forced(
         kick: an impact: time (s), and change of the joints' velocities (j,), rad/s or m/s.
     """
     data = mujoco.MjData(row.model)
-    run = Run(row, data)
+    run = RowSimulation(row, data)
     model, count = run.model, run.steps
     for name, value in run.initial.items():
         getattr(data, name)[...] = value

@@ -26,10 +26,10 @@ import pandas as pd
 from kinhec import benchmark, load_manifest, load_sequence
 from kinhec.metrics import calibration_errors
 
+from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Accept, HoldOut, Plan, Priors
-from pytest_twin.calibration.run import calibrate
 from pytest_twin.errors import TwinError
 from pytest_twin.metrics.pose import rotation_of
 

@@ -21,7 +21,7 @@ sys.path[:0] = [str(TESTS), str(TESTS / "boards"), str(TESTS / "images")]
 import cells  # noqa: E402
 import test_calibrate_images as images  # noqa: E402
 
-from pytest_twin.calibration.run import calibrate, calibrate_file  # noqa: E402
+from pytest_twin.calibration.calibrate import calibrate, calibrate_file  # noqa: E402
 
 IMAGES, WIDTH, HEIGHT = 20, 1632, 1224
 """2.0 MP."""

@@ -18,7 +18,7 @@ import numpy as np
 from coverage_of_intervals import JOINTS, MODEL, EncoderErrors, covered, record
 from drawn_arms import nominal_parameters, true_parameters
 
-from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.measured_recordings import MeasuredRecordings
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import signal
 
 from pytest_twin.identification.effort.encoders import BIAS
-from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization, load

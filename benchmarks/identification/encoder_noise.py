@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from coverage_of_intervals import JOINTS, MODEL
 
-from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization, load

@@ -25,7 +25,7 @@ from coverage_of_intervals import EncoderErrors, covered, effort_noise
 from scipy.stats import norm
 
 from pytest_twin import cli
-from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load

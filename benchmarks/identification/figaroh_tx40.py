@@ -25,7 +25,7 @@ from tx40 import relative
 
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.groups import dry_of
-from pytest_twin.identification.effort.identify import identify_effort
+from pytest_twin.identification.effort.identify_effort import identify_effort
 from pytest_twin.identification.effort.least_squares import linear_problem
 from pytest_twin.identification.effort.recording_rows import sample
 from pytest_twin.identification.measured_recordings import (

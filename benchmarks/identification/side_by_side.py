@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import usual_way
 
 from pytest_twin.identification.effort.filtering import choose_filter
-from pytest_twin.identification.effort.identify import identify_effort
+from pytest_twin.identification.effort.identify_effort import identify_effort
 from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
 from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
 from pytest_twin.identification.regressor import Regressor

@@ -25,7 +25,7 @@ import numpy as np
 
 from pytest_twin.formats.mcap import write_recording
 from pytest_twin.formats.recording import JointSeries
-from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 from pytest_twin.realization.forks import usable_cores
 
 JOINTS = tuple(f"joint{k + 1}" for k in range(6))

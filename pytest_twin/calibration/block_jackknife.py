@@ -10,14 +10,14 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.problem import Problem
+from pytest_twin.calibration.problem import CalibrationProblem
 
 BLOCKS = 8
 """Number of blocks of neighbouring observations. Fewer, longer blocks allow for longer
 correlations, but Student's quantile widens the interval: 2.36 with 8 blocks, 2.78 with 5."""
 
 
-def is_odometry(problem: Problem) -> bool:
+def is_odometry(problem: CalibrationProblem) -> bool:
     """Whether only poses of a camera's own odometry or SLAM were measured."""
     return problem.plan.has_free_scale and len(problem.terms) == 1
 

@@ -17,7 +17,7 @@ from scipy.stats import t as student
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.block_jackknife import block_jackknife, is_odometry
 from pytest_twin.calibration.parameters import State, Variables
-from pytest_twin.calibration.records import Estimate
+from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.solve import Fit, at_state, prior_rows, prior_values
 from pytest_twin.calibration.terms import PoseTerm
 
@@ -52,7 +52,7 @@ class _Linear:
         return np.asarray(np.linalg.inv(np.tensordot(variances, self.parts, 1)))
 
 
-def weigh_by_source(found: Estimate) -> tuple[Estimate, Mapping[str, float]]:
+def weigh_by_source(found: CalibrationEstimate) -> tuple[CalibrationEstimate, Mapping[str, float]]:
     """Return the estimate weighted by the variance of each error source, and the sources' sizes.
 
     Restricted maximum likelihood by the minorize-maximize algorithm (Zhou, Hu, Zhou, Lange: MM

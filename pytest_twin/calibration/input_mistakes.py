@@ -16,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration import closed_form
 from pytest_twin.calibration.input_mistake import FAR_BETTER, InputMistake
 from pytest_twin.calibration.observations import Observations
-from pytest_twin.calibration.problem import Problem
+from pytest_twin.calibration.problem import CalibrationProblem
 from pytest_twin.calibration.solve import Fit
 from pytest_twin.calibration.starts import starts
 from pytest_twin.calibration.terms import PoseTerm
@@ -49,7 +49,7 @@ _TURNS = 4 * np.pi
 """A joint reading beyond two revolutions, rad, may be in degrees."""
 
 
-def has_large_errors(fitted: Mapping[str, float], problem: Problem) -> bool:
+def has_large_errors(fitted: Mapping[str, float], problem: CalibrationProblem) -> bool:
     """Whether the errors of a fit are so large that mistakes should be searched for."""
     accept = problem.plan.accept
     translation = fitted.get("translation_rms", 0.0)
@@ -108,7 +108,7 @@ def _is_far_better(one: InputMistake, now: tuple[float, float]) -> bool:
     return translation and (np.isnan(now[1]) or one.rotation < FAR_BETTER * now[1])
 
 
-def _errors(problem: Problem) -> tuple[float, float]:
+def _errors(problem: CalibrationProblem) -> tuple[float, float]:
     """Return the smallest median distance (m) over algebraic solutions, and its angle (rad)."""
     best = (np.inf, np.inf)
     for state in starts(problem, subsets=6).values():
@@ -123,7 +123,7 @@ def _errors(problem: Problem) -> tuple[float, float]:
     return best
 
 
-def _alternatives(problem: Problem) -> Iterator[tuple[str, str, Observations]]:
+def _alternatives(problem: CalibrationProblem) -> Iterator[tuple[str, str, Observations]]:
     observations = problem.observations
     poses, flange = observations.camera_from_target, observations.flange
     other = "world" if problem.plan.mount == "hand" else "hand"
@@ -212,7 +212,7 @@ def _mirror_y(poses: FloatArray) -> FloatArray:
 
 
 def _joint_alternatives(
-    problem: Problem, observations: Observations
+    problem: CalibrationProblem, observations: Observations
 ) -> Iterator[tuple[str, str, Observations]]:
     chain = problem.chain
     assert chain is not None
@@ -244,7 +244,7 @@ def _reorder_quaternions(poses: FloatArray) -> FloatArray:
     return changed
 
 
-def _far_away(problem: Problem) -> Iterator[tuple[str, str]]:
+def _far_away(problem: CalibrationProblem) -> Iterator[tuple[str, str]]:
     observations = problem.observations
     given = {
         "flange.*": observations.flange,

@@ -14,7 +14,7 @@ from scipy.stats import f as fisher
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.input_mistake import InputMistake
 from pytest_twin.calibration.parameters import State
-from pytest_twin.calibration.problem import Problem, describe_pose
+from pytest_twin.calibration.problem import CalibrationProblem, describe_pose
 from pytest_twin.calibration.solve import Fit, prior_rows, prior_values
 
 LEAST_ROWS = 4
@@ -44,7 +44,7 @@ _ROUNDS, _SETTLED = 4, 0.05
 relative change of the noise below which they end."""
 
 
-def moved_body(problem: Problem, fit: Fit) -> InputMistake | None:
+def moved_body(problem: CalibrationProblem, fit: Fit) -> InputMistake | None:
     """Return the pose that changed between two rows, or None.
 
     Args:
@@ -104,7 +104,7 @@ class _Rows:
         return replace(self, residuals=self.residuals / size, slopes=self.slopes / size[:, None])
 
 
-def _whitened(problem: Problem, state: State, fit: Fit) -> _Rows:
+def _whitened(problem: CalibrationProblem, state: State, fit: Fit) -> _Rows:
     residuals, slopes, rows, kinds = [], [], [], []
     of_terms = problem.residuals(state, np.zeros(fit.problem.layout.count))
     for term, (residual, slope) in zip(problem.terms, of_terms, strict=True):

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.observability import UNDETERMINED_RAD, natural_sizes
-from pytest_twin.calibration.problem import Problem, predicted_poses
-from pytest_twin.calibration.records import Estimate
+from pytest_twin.calibration.problem import CalibrationProblem, predicted_poses
+from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.solve import whitened_jacobian
 from pytest_twin.calibration.terms import PoseTerm
 from pytest_twin.calibration.workspace import (
@@ -35,7 +35,7 @@ _WIDER = 1.2
 widened by this factor."""
 
 
-def pose_diversity(problem: Problem, estimate: Estimate) -> dict[str, Any]:
+def pose_diversity(problem: CalibrationProblem, estimate: CalibrationEstimate) -> dict[str, Any]:
     """Return the RMS rotation about each principal axis (rad), and the box of positions (m)."""
     flange = predicted_poses(problem, estimate.fit.state)
     flange = flange[np.isfinite(flange).all(axis=(1, 2))]
@@ -49,7 +49,7 @@ def pose_diversity(problem: Problem, estimate: Estimate) -> dict[str, Any]:
     return {"turns": size.tolist(), "turns_unit": "rad", "box": box.tolist(), "box_unit": "m"}
 
 
-def next_poses(found: Estimate) -> dict[str, Any]:
+def next_poses(found: CalibrationEstimate) -> dict[str, Any]:
     """Return the poses that add most information about the unknowns (D-optimal, greedy).
 
     Each pose is selected from a few hundred random candidates. Given the poses before it, its
@@ -100,7 +100,7 @@ def next_poses(found: Estimate) -> dict[str, Any]:
     }
 
 
-def _draw_poses(problem: Problem) -> FloatArray:
+def _draw_poses(problem: CalibrationProblem) -> FloatArray:
     """Random joint readings or flange poses, in the whole workspace and around observed ones."""
     draw = np.random.default_rng(3)
     some = draw.integers(len(problem.observations), size=_DRAWN)
@@ -126,7 +126,7 @@ def _draw_poses(problem: Problem) -> FloatArray:
     return np.stack([near, wide[: len(near)]], axis=1).reshape(-1, len(chain.joints))
 
 
-def _visible(problem: Problem, candidates: Problem) -> np.ndarray:
+def _visible(problem: CalibrationProblem, candidates: CalibrationProblem) -> np.ndarray:
     """(rows,) True where distance, direction and tilt of the target are in the observed range."""
     pairs = [
         (one, drawn)
@@ -148,7 +148,7 @@ def _view(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return distance, towards, np.arccos(np.clip(poses[:, 2, 2], -1.0, 1.0))
 
 
-def _by_row(problem: Problem, rows: FloatArray) -> FloatArray:
+def _by_row(problem: CalibrationProblem, rows: FloatArray) -> FloatArray:
     """(observations, width, count) whitened derivatives of each observation, padded with zeros."""
     count = len(problem.observations)
     width = sum(len(term.noise) for term in problem.terms)
@@ -162,7 +162,7 @@ def _by_row(problem: Problem, rows: FloatArray) -> FloatArray:
     return found
 
 
-def _pose_entry(problem: Problem, at: FloatArray, information: float) -> dict[str, Any]:
+def _pose_entry(problem: CalibrationProblem, at: FloatArray, information: float) -> dict[str, Any]:
     if problem.chain is None:
         return {"flange": pose_vector(at).tolist(), "information": information}
     joints = {n: float(v) for n, v in zip(problem.chain.joints, at, strict=True)}

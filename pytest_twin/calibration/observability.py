@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import POSE_LABELS, Layout, State
-from pytest_twin.calibration.problem import PIVOT, TIP, Problem, describe_pose, marker_of
+from pytest_twin.calibration.problem import PIVOT, TIP, CalibrationProblem, describe_pose, marker_of
 from pytest_twin.calibration.solve import Fit, whitened_jacobian
 from pytest_twin.calibration.workspace import draw_flanges, draw_joints, predict_rows, spread
 
@@ -67,7 +67,9 @@ class Gauge:
     words: str
 
 
-def hold_gauges(problem: Problem, state: State) -> tuple[Problem, tuple[Gauge, ...]]:
+def hold_gauges(
+    problem: CalibrationProblem, state: State
+) -> tuple[CalibrationProblem, tuple[Gauge, ...]]:
     """Fix the joint zeros that no set of poses could determine (gauge freedoms).
 
     A rotation of a free base is equivalent to one of the first joint, and a rotation of a free
@@ -252,7 +254,9 @@ def _sparse_basis(null: FloatArray, turning: np.ndarray) -> list[FloatArray]:
     return [row / np.linalg.norm(row) for row in rows if np.linalg.norm(row) > 1e-12]
 
 
-def describe_direction(problem: Problem, layout: Layout, direction: FloatArray) -> list[str]:
+def describe_direction(
+    problem: CalibrationProblem, layout: Layout, direction: FloatArray
+) -> list[str]:
     """Describe the components of a direction, the largest first."""
     size = float(np.abs(direction).max())
     found: list[tuple[float, str]] = []

@@ -38,7 +38,7 @@ def marker_of(point: str) -> str:
 
 
 @dataclass(frozen=True)
-class Problem:
+class CalibrationProblem:
     """Least-squares problem: terms, unknowns and the robot's kinematics.
 
     Attributes:
@@ -85,21 +85,21 @@ class Problem:
         flange = self.flange(variables)
         return [term.residuals(flange, variables) for term in self.terms]
 
-    def on_rows(self, chosen: Sequence[int] | np.ndarray) -> Problem:
+    def on_rows(self, chosen: Sequence[int] | np.ndarray) -> CalibrationProblem:
         """Return the same problem on the chosen rows of the observations."""
         return self.with_observations(self.observations.rows(chosen))
 
-    def with_observations(self, observations: Observations) -> Problem:
+    def with_observations(self, observations: Observations) -> CalibrationProblem:
         """Return the same problem on other observations of the same kinds."""
         terms = terms_of(self.plan, observations, self.chain is not None, self.camera_unit)
         return replace(self, observations=observations, terms=terms)
 
-    def in_unit(self, camera_unit: float) -> Problem:
+    def in_unit(self, camera_unit: float) -> CalibrationProblem:
         """Return the same problem with another unit of the camera's positions, m."""
         return replace(self, camera_unit=camera_unit).with_observations(self.observations)
 
 
-def arms(problem: Problem) -> tuple[Problem, ...]:
+def arms(problem: CalibrationProblem) -> tuple[CalibrationProblem, ...]:
     """Return the problem with joint zeros free too, and with link geometry free too."""
     if problem.chain is None:
         return ()
@@ -126,7 +126,9 @@ def reported_flange(chain: SerialChain | None, observations: Observations) -> Fl
     return poses
 
 
-def make_problem(plan: Plan, observations: Observations, chain: SerialChain | None) -> Problem:
+def make_problem(
+    plan: Plan, observations: Observations, chain: SerialChain | None
+) -> CalibrationProblem:
     """Build the least-squares problem of a plan.
 
     Raises:
@@ -195,7 +197,9 @@ def make_problem(plan: Plan, observations: Observations, chain: SerialChain | No
         None if plan.has_free_scale else plan.target_tolerance,
     )
     fixed = State(poses, points, np.zeros(len(joints)), np.zeros(len(links)))
-    return Problem(plan, observations, chain, terms, layout, fixed, tuple(dict.fromkeys(notes)))
+    return CalibrationProblem(
+        plan, observations, chain, terms, layout, fixed, tuple(dict.fromkeys(notes))
+    )
 
 
 def _check_terms(plan: Plan, terms: tuple[Term, ...]) -> None:
@@ -367,7 +371,7 @@ def _add_pose(
         )
 
 
-def predicted_poses(problem: Problem, state: State) -> FloatArray:
+def predicted_poses(problem: CalibrationProblem, state: State) -> FloatArray:
     """(rows, 4, 4) predicted ``transform_base_to_flange`` at a state, m."""
     nothing = np.zeros(problem.layout.count)
     flange = problem.flange(Variables(problem.layout, state, nothing))

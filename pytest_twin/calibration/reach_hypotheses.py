@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.calibration.observability import hold_gauges
-from pytest_twin.calibration.problem import Problem, arms
+from pytest_twin.calibration.problem import CalibrationProblem, arms
 from pytest_twin.calibration.residual_errors import Errors, errors_of
 from pytest_twin.calibration.solve import Fit, solve
 
@@ -19,7 +19,7 @@ _TESTS = {
 }
 
 
-def reach_hypotheses(fit: Fit, held: Problem, errors: Errors) -> list[dict[str, Any]]:
+def reach_hypotheses(fit: Fit, held: CalibrationProblem, errors: Errors) -> list[dict[str, Any]]:
     """Return the possible causes, the one that removes most of the held-out error first.
 
     Joint zeros and link geometry are fitted. Compliance bends an arm along gravity; its share is

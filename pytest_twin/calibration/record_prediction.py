@@ -15,7 +15,7 @@ from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import (
     INVERTED_RECORDS,
     TIP,
-    Problem,
+    CalibrationProblem,
     describe_pose,
     marker_of,
     records_of,
@@ -26,7 +26,7 @@ from pytest_twin.formats.calibration_record import CalibrationRecord, Transform
 from pytest_twin.metrics.pose import rotation_of
 
 
-def recorded_state(problem: Problem, record: CalibrationRecord) -> State:
+def recorded_state(problem: CalibrationProblem, record: CalibrationRecord) -> State:
     """Return the state of a problem with the transforms and points of a record.
 
     Joint zeros and geometry stay those of the chain, because they belong to the robot.

@@ -47,7 +47,7 @@ data. The data then carry less information than the drawing."""
 
 
 @dataclass(frozen=True)
-class Estimate:
+class CalibrationEstimate:
     """A fit with its uncertainty.
 
     Attributes:
@@ -67,7 +67,7 @@ class Estimate:
     leave_one_out: Mapping[str, float]
 
 
-def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
+def estimate(fit: Fit, directions: tuple[Direction, ...]) -> CalibrationEstimate:
     """Compute covariance and intervals of a fit.
 
     The noise is estimated from the residuals, so intervals use Student's distribution. If an
@@ -82,7 +82,9 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
         slopes, residuals = _whitened_rows(fit)
         prior = prior_rows(fit.problem)
         covariance, quantile = block_jackknife(slopes, residuals, prior.T @ prior)
-        return Estimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
+        return CalibrationEstimate(
+            fit, covariance, quantile, lost, directions, left_out.summary(fit)
+        )
     measurements = sum(int(kept.sum()) for kept in fit.kept)
     if measurements > left_out.count:
         covariance, degrees = left_out.covariance, left_out.count - 1.0
@@ -92,7 +94,7 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> Estimate:
         half = right[sure] / singular[sure, None]
         covariance, degrees = half.T @ half, fit.degrees
     quantile = float(student.ppf(0.975, max(degrees, 1.0)))
-    return Estimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
+    return CalibrationEstimate(fit, covariance, quantile, lost, directions, left_out.summary(fit))
 
 
 def _whitened_rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
@@ -102,13 +104,15 @@ def _whitened_rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
     return slopes[kept], residuals[kept] / [fit.noise[name] for name in term.noise]
 
 
-def with_directions(found: Estimate, directions: tuple[Direction, ...]) -> Estimate:
+def with_directions(
+    found: CalibrationEstimate, directions: tuple[Direction, ...]
+) -> CalibrationEstimate:
     """Return the estimate without the unknowns that belong to the given directions."""
     lost = affected_unknowns(found.fit.problem.layout, directions)
     return replace(found, directions=directions, lost=lost)
 
 
-def records(found: Estimate) -> dict[str, Any]:
+def records(found: CalibrationEstimate) -> dict[str, Any]:
     """Return the records that the plan asks for, and those that were estimated with them."""
     plan, layout = found.fit.problem.plan, found.fit.problem.layout
     made: dict[str, Any] = {}
@@ -131,7 +135,7 @@ def records(found: Estimate) -> dict[str, Any]:
     return {name: made[name] for name in [*order, *(n for n in made if n not in order)]}
 
 
-def solver_transforms(found: Estimate, state: State) -> dict[str, Any]:
+def solver_transforms(found: CalibrationEstimate, state: State) -> dict[str, Any]:
     """Return the transforms of another solver, by the names of the records."""
     made = {}
     plan, layout = found.fit.problem.plan, found.fit.problem.layout
@@ -152,7 +156,7 @@ def _transform(pose: FloatArray) -> dict[str, Any]:
     }
 
 
-def _frames(found: Estimate, name: str, record: str) -> tuple[str, str]:
+def _frames(found: CalibrationEstimate, name: str, record: str) -> tuple[str, str]:
     problem = found.fit.problem
     base = "base" if problem.chain is None else problem.chain.base
     # Records call the fixed frame of the cell "world". In an MJCF the robot's base has that name.
@@ -174,7 +178,9 @@ def _frames(found: Estimate, name: str, record: str) -> tuple[str, str]:
     return parent, child
 
 
-def _pose_record(found: Estimate, name: str, record: str, *, asked: bool) -> dict[str, Any]:
+def _pose_record(
+    found: CalibrationEstimate, name: str, record: str, *, asked: bool
+) -> dict[str, Any]:
     layout = found.fit.problem.layout
     place = layout.blocks[f"pose:{name}"]
     pose = found.fit.state.poses[name]
@@ -214,7 +220,7 @@ def inverse_with_covariance(
     return back, change @ covariance @ change.T
 
 
-def _points(found: Estimate) -> dict[str, Any]:
+def _points(found: CalibrationEstimate) -> dict[str, Any]:
     problem, layout = found.fit.problem, found.fit.problem.layout
     markers = [name for name in layout.points if name.startswith(MARKER)]
     made: dict[str, Any] = {}
@@ -261,14 +267,14 @@ def _points(found: Estimate) -> dict[str, Any]:
     return made
 
 
-def _scalars(found: Estimate, block: str) -> list[tuple[int, float]]:
+def _scalars(found: CalibrationEstimate, block: str) -> list[tuple[int, float]]:
     """Return column and standard deviation of each determined unknown of a block."""
     place = found.fit.problem.layout.blocks[block]
     spread = np.sqrt(np.diag(found.covariance))
     return [(at, float(spread[at])) for at in range(place.start, place.stop) if not found.lost[at]]
 
 
-def _zeros(found: Estimate) -> dict[str, Any]:
+def _zeros(found: CalibrationEstimate) -> dict[str, Any]:
     layout, chain = found.fit.problem.layout, found.fit.problem.chain
     assert chain is not None
     place = layout.blocks["joint_zeros"]
@@ -296,7 +302,7 @@ def _zeros(found: Estimate) -> dict[str, Any]:
     }
 
 
-def _scale(found: Estimate) -> dict[str, Any]:
+def _scale(found: CalibrationEstimate) -> dict[str, Any]:
     problem = found.fit.problem
     ((_, spread),) = _scalars(found, "scale")
     value, std = (one / problem.camera_unit for one in (found.fit.state.scale, spread))
@@ -338,7 +344,7 @@ def size_note(plan: Plan) -> str:
     )
 
 
-def _geometry(found: Estimate) -> dict[str, Any]:
+def _geometry(found: CalibrationEstimate) -> dict[str, Any]:
     layout = found.fit.problem.layout
     place = layout.blocks["geometry"]
     values = {}
@@ -362,7 +368,7 @@ def _geometry(found: Estimate) -> dict[str, Any]:
     return {"values": values, "frame": "of each joint, at position 0"} if values else {}
 
 
-def full_covariance(found: Estimate) -> Mapping[str, Any]:
+def full_covariance(found: CalibrationEstimate) -> Mapping[str, Any]:
     """Return the joint covariance of all unknowns."""
     names = [parameter.name for parameter in found.fit.problem.layout.parameters]
     kept = np.flatnonzero(~found.lost)

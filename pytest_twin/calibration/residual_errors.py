@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State, Variables
-from pytest_twin.calibration.problem import Problem, predicted_poses
+from pytest_twin.calibration.problem import CalibrationProblem, predicted_poses
 from pytest_twin.calibration.residual_patterns import Residuals, pattern_of
 from pytest_twin.calibration.terms import PointTerm, PoseTerm, Term
 
@@ -126,7 +126,9 @@ def regions_of(
     return found
 
 
-def errors_of(problem: Problem, state: State, kept: Sequence[np.ndarray] | None = None) -> Errors:
+def errors_of(
+    problem: CalibrationProblem, state: State, kept: Sequence[np.ndarray] | None = None
+) -> Errors:
     """Return errors of all measurements, or of those that ``kept`` selects for each term."""
     found = problem.residuals(state, np.zeros(problem.layout.count))
     flange = predicted_poses(problem, state)
@@ -194,7 +196,7 @@ def _axes_in_base(term: Term, state: State, flange: FloatArray) -> FloatArray:
     return np.tile(np.eye(3), (len(term.rows), 1, 1))
 
 
-def _rates(term: Term, problem: Problem, state: State) -> FloatArray:
+def _rates(term: Term, problem: CalibrationProblem, state: State) -> FloatArray:
     """(m, 3) rate of a term's prediction by central differences between neighbours, m/s."""
     rates = np.full((len(term.rows), 3), np.nan)
     time = problem.observations.time

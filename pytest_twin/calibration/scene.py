@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.parameters import State
-from pytest_twin.calibration.problem import Problem, describe_pose, predicted_poses
+from pytest_twin.calibration.problem import CalibrationProblem, describe_pose, predicted_poses
 from pytest_twin.calibration.residual_errors import Errors
 
 MOST_ARROWS = 400
@@ -19,7 +19,9 @@ MOST_ARROWS = 400
 
 
 def scene(
-    problem: Problem, state: State, errors: Mapping[str, tuple[Problem, Errors]]
+    problem: CalibrationProblem,
+    state: State,
+    errors: Mapping[str, tuple[CalibrationProblem, Errors]],
 ) -> dict[str, Any]:
     """Return the chain, frames and error arrows in the base, m.
 
@@ -45,7 +47,7 @@ def scene(
     }
 
 
-def _chain(problem: Problem, state: State, row: int) -> list[dict[str, Any]]:
+def _chain(problem: CalibrationProblem, state: State, row: int) -> list[dict[str, Any]]:
     """Return name and position of the base, each joint and the flange."""
     chain = problem.chain
     assert chain is not None
@@ -62,7 +64,7 @@ def _chain(problem: Problem, state: State, row: int) -> list[dict[str, Any]]:
     return found
 
 
-def _frames(problem: Problem, state: State, flange: FloatArray) -> list[dict[str, Any]]:
+def _frames(problem: CalibrationProblem, state: State, flange: FloatArray) -> list[dict[str, Any]]:
     found = [frame("base", np.eye(4)), frame(problem.plan.flange, flange)]
     for name, pose in state.poses.items():
         words = describe_pose(name, problem.plan.mount).removeprefix("the ").partition(" ")[0]
@@ -83,7 +85,9 @@ def frame(name: str, pose: FloatArray, *, on_flange: bool = False) -> dict[str, 
     }
 
 
-def _arrows(kind: str, problem: Problem, state: State, errors: Errors) -> list[dict[str, Any]]:
+def _arrows(
+    kind: str, problem: CalibrationProblem, state: State, errors: Errors
+) -> list[dict[str, Any]]:
     """Return flange positions and prediction errors in the base's axes, m."""
     flange = predicted_poses(problem, state)
     step = max(1, -(-len(errors.ids) // MOST_ARROWS))

@@ -12,7 +12,7 @@ from scipy.stats import chi2, halfnorm
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State
-from pytest_twin.calibration.problem import Problem
+from pytest_twin.calibration.problem import CalibrationProblem
 from pytest_twin.calibration.time_limit import is_over
 
 STUDENT_DEGREES = 4.0
@@ -79,7 +79,7 @@ class Fit:
         degrees: smallest degrees of freedom among the kinds of noise.
     """
 
-    problem: Problem
+    problem: CalibrationProblem
     state: State
     noise: Mapping[str, float]
     kept: tuple[np.ndarray, ...]
@@ -88,7 +88,7 @@ class Fit:
     degrees: float
 
 
-def robust_cost(problem: Problem, state: State) -> float:
+def robust_cost(problem: CalibrationProblem, state: State) -> float:
     """Return the size of the residuals of the best third at a state, to compare starts.
 
     Residuals are divided by fixed sizes (1 mm, 1 mrad, 1 px), so that states can be compared before
@@ -102,7 +102,7 @@ def robust_cost(problem: Problem, state: State) -> float:
     return total
 
 
-def solve(problem: Problem, start: State) -> Fit:
+def solve(problem: CalibrationProblem, start: State) -> Fit:
     """Return the weighted least-squares solution from a start, with outliers excluded."""
     everything = tuple(np.ones(len(term.rows), dtype=bool) for term in problem.terms)
     state = start
@@ -143,7 +143,7 @@ def solve(problem: Problem, start: State) -> Fit:
     return Fit(problem, state, noise, kept, tuple(residuals), jacobian, degrees)
 
 
-def _is_redundant(problem: Problem) -> bool:
+def _is_redundant(problem: CalibrationProblem) -> bool:
     """Whether there are enough observations to detect outliers."""
     rows = {int(row) for term in problem.terms for row in term.rows}
     total = sum(len(term.rows) * len(term.noise) for term in problem.terms)
@@ -151,7 +151,7 @@ def _is_redundant(problem: Problem) -> bool:
 
 
 def whitened_jacobian(
-    problem: Problem,
+    problem: CalibrationProblem,
     state: State,
     noise: Mapping[str, float],
     kept: tuple[np.ndarray, ...] | None = None,
@@ -166,17 +166,19 @@ def whitened_jacobian(
     return _whiten(problem, slopes, noise, [one.astype(float) for one in counted])
 
 
-def _residuals(problem: Problem, state: State) -> tuple[list[FloatArray], list[FloatArray]]:
+def _residuals(
+    problem: CalibrationProblem, state: State
+) -> tuple[list[FloatArray], list[FloatArray]]:
     found = problem.residuals(state, np.zeros(problem.layout.count))
     return [one for one, _ in found], [slope for _, slope in found]
 
 
-def _sizes(problem: Problem, noise: Mapping[str, float]) -> list[FloatArray]:
+def _sizes(problem: CalibrationProblem, noise: Mapping[str, float]) -> list[FloatArray]:
     return [np.array([noise[name] for name in term.noise]) for term in problem.terms]
 
 
 def _distances(
-    problem: Problem,
+    problem: CalibrationProblem,
     residuals: list[FloatArray] | tuple[FloatArray, ...],
     noise: Mapping[str, float],
 ) -> list[FloatArray]:
@@ -184,11 +186,13 @@ def _distances(
     return [np.sum((one / size) ** 2, axis=1) for one, size in zip(residuals, sizes, strict=True)]
 
 
-def _names(problem: Problem) -> list[str]:
+def _names(problem: CalibrationProblem) -> list[str]:
     return list(dict.fromkeys(name for term in problem.terms for name in term.noise))
 
 
-def _columns(problem: Problem, values: list[FloatArray], name: str, kept: object) -> FloatArray:
+def _columns(
+    problem: CalibrationProblem, values: list[FloatArray], name: str, kept: object
+) -> FloatArray:
     """Return all residuals of one kind of noise."""
     parts = []
     for at, term in enumerate(problem.terms):
@@ -199,7 +203,7 @@ def _columns(problem: Problem, values: list[FloatArray], name: str, kept: object
 
 
 def _spread(
-    problem: Problem, residuals: list[FloatArray], kept: tuple[np.ndarray, ...]
+    problem: CalibrationProblem, residuals: list[FloatArray], kept: tuple[np.ndarray, ...]
 ) -> dict[str, float]:
     """Estimate the noise robustly, from the smallest residuals."""
     found = {}
@@ -214,7 +218,7 @@ def _spread(
 
 
 def _noise(
-    problem: Problem,
+    problem: CalibrationProblem,
     residuals: list[FloatArray],
     slopes: list[FloatArray],
     noise: Mapping[str, float],
@@ -252,7 +256,7 @@ def _noise(
 
 
 def _inliers(
-    problem: Problem, residuals: list[FloatArray], distances: list[FloatArray]
+    problem: CalibrationProblem, residuals: list[FloatArray], distances: list[FloatArray]
 ) -> tuple[np.ndarray, ...]:
     total = sum(len(one) for one in distances)
     found = []
@@ -265,7 +269,7 @@ def _inliers(
 
 
 def _whiten(
-    problem: Problem,
+    problem: CalibrationProblem,
     slopes: list[FloatArray],
     noise: Mapping[str, float],
     weights: list[FloatArray],
@@ -285,14 +289,14 @@ def at_state(fit: Fit, state: State) -> Fit:
     return replace(fit, state=state, noise=noise, residuals=tuple(residuals), jacobian=jacobian)
 
 
-def prior_rows(problem: Problem) -> FloatArray:
+def prior_rows(problem: CalibrationProblem) -> FloatArray:
     """(priors, count) derivatives of the priors' residuals, in standard deviations."""
     parameters = problem.layout.parameters
     rows = [np.eye(len(parameters))[i] / p.prior for i, p in enumerate(parameters) if p.prior]
     return np.reshape(rows, (-1, len(parameters)))
 
 
-def prior_values(problem: Problem, state: State) -> FloatArray:
+def prior_values(problem: CalibrationProblem, state: State) -> FloatArray:
     """(priors,) residuals of the priors, in standard deviations."""
     layout = problem.layout
     values = np.zeros(layout.count)
@@ -306,7 +310,7 @@ def prior_values(problem: Problem, state: State) -> FloatArray:
 
 
 def _least_squares(
-    problem: Problem,
+    problem: CalibrationProblem,
     state: State,
     noise: Mapping[str, float],
     weights: list[FloatArray],
@@ -345,7 +349,9 @@ def _least_squares(
     return problem.layout.moved(state, np.asarray(found.x))
 
 
-def _degrees(problem: Problem, jacobian: FloatArray, kept: tuple[np.ndarray, ...]) -> float:
+def _degrees(
+    problem: CalibrationProblem, jacobian: FloatArray, kept: tuple[np.ndarray, ...]
+) -> float:
     """Return the smallest degrees of freedom among the kinds of noise."""
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     rank = singular > 1e-10 * max(singular.max(initial=0.0), 1e-300)

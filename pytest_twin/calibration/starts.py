@@ -16,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration import closed_form
 from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.parameters import State
-from pytest_twin.calibration.problem import Problem, predicted_poses
+from pytest_twin.calibration.problem import CalibrationProblem, predicted_poses
 from pytest_twin.calibration.solve import LEAST_INLIERS
 from pytest_twin.calibration.solvers.algebraic import HAND_EYE, ROBOT_WORLD, solver_of_poses
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
@@ -43,7 +43,7 @@ _POSES_FOR_UNIT = 6
 """Number of poses for the estimate of the unit of length."""
 
 
-def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
+def starts(problem: CalibrationProblem, subsets: int = SUBSETS) -> Mapping[str, State]:
     """Return initial states by the name of their solver.
 
     Args:
@@ -70,7 +70,7 @@ def starts(problem: Problem, subsets: int = SUBSETS) -> Mapping[str, State]:
     return found
 
 
-def camera_unit(problem: Problem) -> float | None:
+def camera_unit(problem: CalibrationProblem) -> float | None:
     """Length of one unit of the camera's positions, m, from the robot's motion; None if none fits.
 
     All poses and random subsets of them are tried; the best third of the residual distances
@@ -123,7 +123,7 @@ def seen_poses(term: PoseTerm) -> FloatArray:
     return closed_form.inverse(term.measured) if term.mount == "hand" else term.measured
 
 
-def _start(problem: Problem, solver: HandEyeSolver) -> State | None:
+def _start(problem: CalibrationProblem, solver: HandEyeSolver) -> State | None:
     """Return the state that a solver finds, or None if it fails."""
     state = _points(problem, problem.fixed)
     flange = predicted_poses(problem, state)
@@ -168,7 +168,7 @@ def _middle(poses: FloatArray) -> FloatArray:
     return closed_form.rigid(rotations[best], np.median(poses[:, :3, 3], axis=0))
 
 
-def _points(problem: Problem, state: State) -> State:
+def _points(problem: CalibrationProblem, state: State) -> State:
     flange = predicted_poses(problem, state)
     poses, points = dict(state.poses), dict(state.points)
     terms = [term for term in problem.terms if isinstance(term, PointTerm)]
@@ -194,7 +194,7 @@ def _points(problem: Problem, state: State) -> State:
 
 
 def _known_points(
-    problem: Problem, state: State, terms: list[PointTerm], flange: FloatArray
+    problem: CalibrationProblem, state: State, terms: list[PointTerm], flange: FloatArray
 ) -> dict[str, FloatArray]:
     """Start from markers with known positions in the tool, via the tool's pose in each row."""
     world, mounted = terms[0].world, terms[0].mounted

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State, Variables
-from pytest_twin.calibration.problem import Problem, marker_of, terms_of
+from pytest_twin.calibration.problem import CalibrationProblem, marker_of, terms_of
 from pytest_twin.calibration.terms import PointTerm, PoseTerm
 from pytest_twin.realization.serial_chain import SerialChain
 
@@ -45,7 +45,7 @@ def draw_flanges(observed: FloatArray, count: int, seed: int) -> FloatArray:
     return found
 
 
-def predict_rows(problem: Problem, state: State, at: FloatArray) -> Problem:
+def predict_rows(problem: CalibrationProblem, state: State, at: FloatArray) -> CalibrationProblem:
     """Return the same problem in other poses, with measurements predicted at ``state``.
 
     Args:
@@ -94,7 +94,9 @@ class Spread:
     worst: dict[str, FloatArray]
 
 
-def spread(problem: Problem, state: State, covariance: FloatArray, at: FloatArray) -> Spread:
+def spread(
+    problem: CalibrationProblem, state: State, covariance: FloatArray, at: FloatArray
+) -> Spread:
     """Return the standard deviation of predictions that follows from the unknowns' covariance.
 
     Args:

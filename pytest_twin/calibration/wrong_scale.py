@@ -13,7 +13,7 @@ from pytest_twin.calibration.input_mistake import FAR_BETTER, InputMistake
 from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.observability import hold_gauges
 from pytest_twin.calibration.parameters import State
-from pytest_twin.calibration.problem import Problem, arms, predicted_poses
+from pytest_twin.calibration.problem import CalibrationProblem, arms, predicted_poses
 from pytest_twin.calibration.solve import Fit, robust_cost, solve
 from pytest_twin.calibration.starts import camera_unit, seen_poses, starts
 from pytest_twin.calibration.terms import PointTerm, PoseTerm
@@ -36,7 +36,7 @@ _SUBSETS = 6
 """Number of random subsets for starts when a scale is only tested."""
 
 
-def scale_of(problem: Problem, now: tuple[float, float]) -> InputMistake | None:
+def scale_of(problem: CalibrationProblem, now: tuple[float, float]) -> InputMistake | None:
     """Return a scale factor of all measured positions: a unit, or the size of the target."""
     flange = predicted_poses(problem, problem.fixed)
     for term in problem.terms:
@@ -167,7 +167,7 @@ def _spread_of_scale(fit: Fit) -> float:
     return max(independent, float(np.sqrt(jackknife(fit).covariance[at, at])))
 
 
-def _explained_by_arm(free: Fit, problem: Problem, state: State) -> bool:
+def _explained_by_arm(free: Fit, problem: CalibrationProblem, state: State) -> bool:
     """Whether joint zeros or links that were not estimated explain the errors better than a scale.
 
     Joint zeros that are wrong by 20 mrad change the size of an arm's motions by up to 2 %. The
@@ -201,7 +201,7 @@ def _criterion(fit: Fit) -> float:
 
 
 def _of_target(
-    problem: Problem, factor: float, column: str, translation: float, rotation: float
+    problem: CalibrationProblem, factor: float, column: str, translation: float, rotation: float
 ) -> InputMistake:
     what = f"positions of {column} are too large or too small by a factor of {1 / factor:.4f}: "
     mend = f"multiply the target's dimensions by {factor:.4f} after measuring them"

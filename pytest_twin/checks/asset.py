@@ -49,7 +49,7 @@ class AssetAudit(Check):
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Audit the realization's file, without distances at poses, which are never critical."""
-        from pytest_twin.audit.run import findings_of
+        from pytest_twin.audit.audit_file import findings_of
         from pytest_twin.checks.assumed_values import assumed_values
 
         findings = findings_of(realization.path, realization.source.located)

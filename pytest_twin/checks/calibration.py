@@ -89,13 +89,13 @@ class CalibrationCheck(Check):
 
     def observe(self, golden: Golden, realization: Realization, progress: Progress) -> Observation:
         """Compute errors of the realization's forward kinematics with the record's transforms."""
+        from pytest_twin.calibration.calibrate import without_gross_errors
         from pytest_twin.calibration.coincident_markers import without_coincident
         from pytest_twin.calibration.observations import load_observations
         from pytest_twin.calibration.plan import load_plan
         from pytest_twin.calibration.problem import make_problem
         from pytest_twin.calibration.record_prediction import held_out_observations, recorded_state
         from pytest_twin.calibration.residual_errors import errors_of
-        from pytest_twin.calibration.run import without_gross_errors
 
         twin = twin_of(golden, realization, "a calibration", "calibrations")
         record = _entry(golden, twin).record

@@ -21,7 +21,7 @@ from pytest_twin.golden import Golden
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
     from pytest_twin.realization.scene import FreeObject
-    from pytest_twin.realization.simulate import Run
+    from pytest_twin.realization.simulate import SimulatedMotion
 
 OBJECT, FLOOR = "object", "floor"
 """Names in a pair for the object and floor that the golden declares."""
@@ -208,7 +208,7 @@ class Scene:
         progress: Progress,
         *,
         more: Callable[[float], None] | None = None,
-    ) -> Run:
+    ) -> SimulatedMotion:
         """Continue the simulation for ``duration`` s under commands, efforts and pressing force.
 
         Args:

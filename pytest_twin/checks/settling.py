@@ -30,7 +30,7 @@ from pytest_twin.twin import Simulator
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
-    from pytest_twin.realization.simulate import Run
+    from pytest_twin.realization.simulate import SimulatedMotion
 
 SAMPLES = 101
 """Number of samples of a trace."""
@@ -223,7 +223,10 @@ def _positive(golden: Golden, field: str, value: object) -> float:
 
 
 def _joints(
-    realization: Realization, run: Run, wanted: Iterable[str], bands: Mapping[str, float]
+    realization: Realization,
+    run: SimulatedMotion,
+    wanted: Iterable[str],
+    bands: Mapping[str, float],
 ) -> tuple[dict[str, Any], FloatArray, dict[str, tuple[str, FloatArray]]]:
     """Return final values, (n, k) distances to them in bands, and columns of the trace."""
     types = realization.structure.joint_type

@@ -112,6 +112,6 @@ def _call(args: argparse.Namespace) -> tuple[str, dict[str, object]]:
                 "an SRDF takes no evidence", path=asset, where="--evidence", expected="a URDF"
             )
         arguments["urdf_path"] = None if args.urdf is None else str(args.urdf.resolve())
-        return "pytest_twin.audit.srdf.run:audit_srdf", arguments
+        return "pytest_twin.audit.srdf.audit_srdf:audit_srdf", arguments
     arguments["evidence_path"] = None if args.evidence is None else str(args.evidence.resolve())
-    return "pytest_twin.audit.run:audit_file", arguments
+    return "pytest_twin.audit.audit_file:audit_file", arguments

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         Progress("propagating") as progress,
     ):
         document = sandbox.call(
-            "pytest_twin.budget.run:budget_of_file",
+            "pytest_twin.budget.budget_of_twin:budget_of_file",
             {"path": str(twin.absolute()), "folder": str(out.absolute())},
             progress=progress,
         )

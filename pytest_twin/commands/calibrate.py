@@ -120,7 +120,7 @@ def calibrate_into(
         contextlib.nullcontext() if progress is None else progress.stopping_early(sandbox, written),
     ):
         document = sandbox.call(
-            "pytest_twin.calibration.run:calibrate_file",
+            "pytest_twin.calibration.calibrate:calibrate_file",
             {
                 "plan": str(plan.absolute()),
                 "folder": str(staging / OBSERVATIONS),

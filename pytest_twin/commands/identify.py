@@ -193,7 +193,7 @@ def identify_into(
     ):
         with Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox:
             document: dict[str, Any] = sandbox.call(
-                "pytest_twin.identification.run:identify_files",
+                "pytest_twin.identification.identify_files:identify_files",
                 {
                     "request": {
                         "model": str(found),

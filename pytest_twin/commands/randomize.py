@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
         Progress("simulating") as progress,
     ):
         document = sandbox.call(
-            "pytest_twin.ranges.run:ranges_of_file",
+            "pytest_twin.ranges.ranges_of_twin:ranges_of_file",
             {
                 "path": str(twin.absolute()),
                 "request": {

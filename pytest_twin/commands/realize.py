@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
             made["critical"] += [
                 results.as_placed(line, staging)
                 for line in sandbox.call(
-                    "pytest_twin.audit.run:critical_findings", {"path": str(normalized)}
+                    "pytest_twin.audit.audit_file:critical_findings", {"path": str(normalized)}
                 )
                 # Each note of the conversion is listed once.
                 if not any(word in known for word in re.findall(r"'([^']+)'", line))

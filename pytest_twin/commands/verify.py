@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     return HOLDS if verdict.holds else DOES_NOT_HOLD
 
 
-def _stale_records(twin_file: Path) -> Iterator[release.Problem]:
+def _stale_records(twin_file: Path) -> Iterator[release.ReleaseProblem]:
     """Problems of the twin as it is today: records whose inputs have changed."""
     try:
         if not load_twin(twin_file).has_records:
@@ -96,7 +96,7 @@ def _stale_records(twin_file: Path) -> Iterator[release.Problem]:
             )
     except TwinError as error:
         lines = [f"its records cannot be compared with their inputs: {error}"]
-    yield from (release.Problem("records", line) for line in lines)
+    yield from (release.ReleaseProblem("records", line) for line in lines)
 
 
 def _verify_stamps(args: argparse.Namespace) -> int:
@@ -130,7 +130,9 @@ def _verify_stamps(args: argparse.Namespace) -> int:
 def _as_verdict(verdicts: Sequence[StampVerdict]) -> release.Verdict:
     problems = (text for verdict in verdicts for text in verdict.problems)
     authentic = next((v.release for v in verdicts if v.release is not None), None)
-    return release.Verdict(authentic, tuple(release.Problem("stamp", text) for text in problems))
+    return release.Verdict(
+        authentic, tuple(release.ReleaseProblem("stamp", text) for text in problems)
+    )
 
 
 def _is_release(given: Path) -> bool:

@@ -22,7 +22,7 @@ from pytest_twin.excitation.designs import (
 from pytest_twin.excitation.document import courses, document_of, on_abort
 from pytest_twin.excitation.find_safe import RejectedDesign, Robot, SafeMotion, find_safe
 from pytest_twin.excitation.gravity_grid import static_base
-from pytest_twin.excitation.noise import Noise, noise_of
+from pytest_twin.excitation.noise import SampleNoise, noise_of
 from pytest_twin.excitation.prediction import PredictedAccuracy
 from pytest_twin.excitation.read_limits import missing_error, movable_joints, read_approved
 from pytest_twin.excitation.template import template
@@ -54,7 +54,7 @@ class Excitation:
 
     realization: Realization
     approved: ApprovedLimits
-    noise: Noise
+    noise: SampleNoise
     regressor: Regressor
     base: BaseParameters
     safe: tuple[SafeMotion, ...]
@@ -201,7 +201,7 @@ def _refuse_unsafe_start(
 def _predict_accuracies(
     safe: Sequence[SafeMotion],
     approved: ApprovedLimits,
-    noise: Noise,
+    noise: SampleNoise,
     regressor: Regressor,
     base: BaseParameters,
     robots: Mapping[str | None, Robot],

@@ -18,7 +18,7 @@ ASSUMED_POSITION = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class SampleNoise:
     """Standard deviations of one sample; samples are independent.
 
     Attributes:
@@ -33,11 +33,11 @@ class Noise:
     position_source: tuple[str, ...]
 
 
-def noise_of(realization: Realization, approved: ApprovedLimits) -> Noise:
+def noise_of(realization: Realization, approved: ApprovedLimits) -> SampleNoise:
     """Return the measurement noise of each joint."""
     efforts = [_effort(realization, joint) for joint in approved.joints]
     positions = [_position(realization, joint) for joint in approved.joints]
-    return Noise(
+    return SampleNoise(
         np.array([value for value, _ in efforts]),
         np.array([value for value, _ in positions]),
         tuple(source for _, source in efforts),

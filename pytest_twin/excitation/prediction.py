@@ -14,7 +14,7 @@ from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.closed_loop import Response
 from pytest_twin.excitation.gravity_grid import SETTLE, random_poses, static_matrix
 from pytest_twin.excitation.motion import Motion
-from pytest_twin.excitation.noise import Noise
+from pytest_twin.excitation.noise import SampleNoise
 from pytest_twin.identification.regressor.base_parameters import BaseParameters, base_of
 from pytest_twin.identification.regressor.covariance import predicted_covariance
 from pytest_twin.identification.regressor.regressor import Regressor
@@ -88,7 +88,7 @@ def of_base(
     regressor: Regressor,
     matrix: FloatArray,
     approved: ApprovedLimits,
-    noise: Noise,
+    noise: SampleNoise,
 ) -> list[PredictedAccuracy]:
     """Predict base parameters from the full regressor along motions.
 
@@ -153,7 +153,7 @@ def inertia(
     base: BaseParameters,
     regressor: Regressor,
     approved: ApprovedLimits,
-    noise: Noise,
+    noise: SampleNoise,
 ) -> list[PredictedAccuracy]:
     """Predict all base parameters with friction, from Fourier series."""
     matrix = np.concatenate(
@@ -167,7 +167,7 @@ def gravity(
     base: BaseParameters,
     regressor: Regressor,
     approved: ApprovedLimits,
-    noise: Noise,
+    noise: SampleNoise,
 ) -> list[PredictedAccuracy]:
     """Predict static base parameters, from poses at rest."""
     still = at_rest(motion, approved.rate)
@@ -194,7 +194,7 @@ def friction(
     joint: int,
     regressor: Regressor,
     approved: ApprovedLimits,
-    noise: Noise,
+    noise: SampleNoise,
 ) -> list[PredictedAccuracy]:
     """Predict viscous, Coulomb and load-dependent friction of a joint, from reversals under loads.
 
@@ -250,7 +250,7 @@ def friction(
 
 
 def backlash(
-    motions: Sequence[Motion], joint: int, approved: ApprovedLimits, noise: Noise
+    motions: Sequence[Motion], joint: int, approved: ApprovedLimits, noise: SampleNoise
 ) -> PredictedAccuracy:
     """Predict backlash: the position's hysteresis between both directions, on the joint side."""
     limits = approved.joints[joint]
@@ -262,7 +262,7 @@ def backlash(
 
 
 def delay(
-    responses: Sequence[Response], joint: int, approved: ApprovedLimits, noise: Noise
+    responses: Sequence[Response], joint: int, approved: ApprovedLimits, noise: SampleNoise
 ) -> PredictedAccuracy:
     """Predict the delay of a joint's motion from its speed: std = noise / sqrt(sum v^2)."""
     limits = approved.joints[joint]
@@ -280,7 +280,7 @@ def closed_loop(
     gains: Mapping[str, tuple[float, str, FloatArray]],
     joint: int,
     approved: ApprovedLimits,
-    noise: Noise,
+    noise: SampleNoise,
 ) -> list[PredictedAccuracy]:
     """Predict the gains of one joint's servo, fitted together with its delay.
 
@@ -315,7 +315,7 @@ def payload(
     carrier: str,
     regressor: Regressor,
     approved: ApprovedLimits,
-    noise: Noise,
+    noise: SampleNoise,
 ) -> list[PredictedAccuracy]:
     """Predict mass and first moments of a payload, from equal poses with and without it.
 

@@ -21,13 +21,16 @@ from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written,
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.identify import EffortResult
+from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.identification.effort.servo_gains import ServoGains
 from pytest_twin.identification.fit_patches import Patches
 from pytest_twin.identification.measured_recordings import MeasuredRecordings
 from pytest_twin.identification.records import correlated_pairs
 from pytest_twin.identification.simulation.document import parameters_with_covariance
-from pytest_twin.identification.simulation.identify import SimulationResult, identify_simulation
+from pytest_twin.identification.simulation.identify_by_simulation import (
+    SimulationResult,
+    identify_simulation,
+)
 from pytest_twin.identification.simulation.passive_joints import impossible
 from pytest_twin.identification.simulation.stage_effects import AFTER_EFFORT, StagePlan
 from pytest_twin.identification.simulation.stage_fit import with_derivatives

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 from pytest_twin.formats.identification_record import EncoderChange
 from pytest_twin.identification.effort.encoders import BIAS, EncoderError
-from pytest_twin.identification.effort.identify import EffortResult
+from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.realization import Realization
 from pytest_twin.twin import JointCalibration
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.identification.effort.identify import EffortResult
+from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics, body_patches
 

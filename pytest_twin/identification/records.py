@@ -12,7 +12,7 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.encoders import SCALE, undetermined_entries
 from pytest_twin.identification.effort.estimate import SQUARES
 from pytest_twin.identification.effort.groups import FRICTION
-from pytest_twin.identification.effort.identify import EffortResult
+from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.identification.effort.stage_comparison import parameter_name
 from pytest_twin.identification.motions import undetermined_by_effort
 from pytest_twin.identification.stages import Stage, in_order

@@ -25,7 +25,7 @@ from pytest_twin.errors import ModelError, SpecError, TwinError
 from pytest_twin.metrics.pose import rotation_of
 from pytest_twin.realization.inertia import compiled_inertia
 from pytest_twin.realization.model import Realization
-from pytest_twin.realization.simulate import Run, divergence_error
+from pytest_twin.realization.simulate import SimulatedMotion, divergence_error
 from pytest_twin.realization.usd_names import display_name, link_prims
 
 Vector = NDArray[np.float64]
@@ -129,7 +129,7 @@ def simulate(
     data: mujoco.MjData,
     steps: int,
     progress: Callable[[float], None] | None = None,
-) -> Run:
+) -> SimulatedMotion:
     """Step the stage on from the state of ``data`` under its controls and applied forces.
 
     Args:
@@ -187,7 +187,9 @@ def simulate(
             progress(k / steps)
     data.time, data.qpos[:], data.qvel[:] = time[-1], qpos[-1], qvel[-1]
     energy, actuator_work, constraint_work = _energies(model, data, qpos, qvel)
-    return Run(time, qpos, qvel, energy, actuator_work, constraint_work, np.zeros(steps + 1), None)
+    return SimulatedMotion(
+        time, qpos, qvel, energy, actuator_work, constraint_work, np.zeros(steps + 1), None
+    )
 
 
 def _energies(

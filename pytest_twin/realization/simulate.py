@@ -273,7 +273,7 @@ def overlaps(realization: Realization, qpos: Vector) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class SimulatedMotion:
     """Recorded simulation; row k is the state at ``time[k]``.
 
     Attributes:
@@ -309,7 +309,7 @@ def run(
     steps: int,
     *,
     progress: Callable[[float], None] | None = None,
-) -> Run:
+) -> SimulatedMotion:
     """Step ``data`` with the realization's simulator, under constant controls and forces.
 
     Args:
@@ -361,7 +361,7 @@ def simulate(
     before: Callable[[float], None] | None = None,
     after: Callable[[int], None] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Run:
+) -> SimulatedMotion:
     """Step ``data`` and record its states.
 
     Args:
@@ -409,7 +409,9 @@ def simulate(
             after(k)
         if progress is not None and k % 256 == 0:
             progress(k / n)
-    return Run(time, qpos, qvel, energy, actuator_work, constraint_work, penetration, deepest)
+    return SimulatedMotion(
+        time, qpos, qvel, energy, actuator_work, constraint_work, penetration, deepest
+    )
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:

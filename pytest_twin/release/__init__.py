@@ -4,7 +4,7 @@ from pytest_twin.release.check import Baseline, baseline, check, newest
 from pytest_twin.release.environment import environment
 from pytest_twin.release.keys import signer
 from pytest_twin.release.statement import Draft, FileEntry, Header, Previous, Proof, Release
-from pytest_twin.release.verify import Problem, Verdict
+from pytest_twin.release.verify import ReleaseProblem, Verdict
 from pytest_twin.release.write import write
 
 __all__ = [
@@ -13,9 +13,9 @@ __all__ = [
     "FileEntry",
     "Header",
     "Previous",
-    "Problem",
     "Proof",
     "Release",
+    "ReleaseProblem",
     "Verdict",
     "baseline",
     "check",

@@ -20,7 +20,7 @@ from pytest_twin.release.statement import Release
 from pytest_twin.release.verify import (
     NOTHING_SIGNED,
     Circumstances,
-    Problem,
+    ReleaseProblem,
     Verdict,
     authenticate,
     judge,
@@ -105,23 +105,25 @@ def _check(
     path: Path, root: Path, trusted: Sequence[Key], now: datetime, remember: bool
 ) -> Verdict:
     if path.is_symlink():
-        return Verdict(None, (Problem("files", f"{path.name}: a link, not the release itself"),))
+        return Verdict(
+            None, (ReleaseProblem("files", f"{path.name}: a link, not the release itself"),)
+        )
     try:
         data = folders.read_envelope(path)
         listing = folders.listing(path)
     except (PathError, LimitError) as error:
-        return Verdict(None, (Problem("files", str(error)),))
+        return Verdict(None, (ReleaseProblem("files", str(error)),))
     if data is None:
         return NOTHING_SIGNED
     try:
         release = authenticate(data, trusted)
     except ReleaseError as error:
-        return Verdict(None, (Problem("envelope" if trusted else "keys", str(error)),))
+        return Verdict(None, (ReleaseProblem("envelope" if trusted else "keys", str(error)),))
     try:
         twin = _stated_name(root) if path.parent.name == folders.RELEASES else None
     except TwinError as error:
         unnamed = f"its twin cannot be read, so that the twin's name is not checked: {error}"
-        return Verdict(release, (Problem("twin", unnamed),))
+        return Verdict(release, (ReleaseProblem("twin", unnamed),))
     circumstances = _circumstances(path, twin, trusted, release, remember)
     verdict = judge(release, listing, now=now, circumstances=circumstances)
     if remember and verdict.holds:

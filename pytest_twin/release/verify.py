@@ -67,7 +67,7 @@ class Circumstances:
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class ReleaseProblem:
     """A reason why a release is not valid.
 
     Attributes:
@@ -89,7 +89,7 @@ class Verdict:
     """
 
     release: Release | None
-    problems: tuple[Problem, ...] = field(default=())
+    problems: tuple[ReleaseProblem, ...] = field(default=())
 
     @property
     def holds(self) -> bool:
@@ -121,7 +121,8 @@ class Verdict:
 
 
 NOTHING_SIGNED = Verdict(
-    None, (Problem("envelope", f"no {ENVELOPE}: its write was interrupted or it is no release"),)
+    None,
+    (ReleaseProblem("envelope", f"no {ENVELOPE}: its write was interrupted or it is no release"),),
 )
 
 
@@ -159,7 +160,7 @@ def verify(
     try:
         release = authenticate(data, keys, limits)
     except ReleaseError as error:
-        return Verdict(None, (Problem("envelope" if keys else "keys", str(error)),))
+        return Verdict(None, (ReleaseProblem("envelope" if keys else "keys", str(error)),))
     return judge(release, listing, now=now, circumstances=circumstances, limits=limits)
 
 
@@ -183,11 +184,11 @@ def judge(
     if len(problems) > limits.problems_count:
         left_out = len(problems) - limits.problems_count
         problems = problems[: limits.problems_count]
-        problems.append(Problem("files", f"and {left_out} more"))
+        problems.append(ReleaseProblem("files", f"and {left_out} more"))
     return Verdict(release, tuple(problems))
 
 
-def _files(release: Release, listing: Mapping[str, FolderEntry]) -> Iterator[Problem]:
+def _files(release: Release, listing: Mapping[str, FolderEntry]) -> Iterator[ReleaseProblem]:
     stated = {entry.name: entry for entry in release.files}
     yield from _misplaced_files(stated)
     yield from _unlisted_entries(stated, listing)
@@ -196,7 +197,7 @@ def _files(release: Release, listing: Mapping[str, FolderEntry]) -> Iterator[Pro
         step = steps.get((entry.original or name).removeprefix(f"{FILES}/"))
         of = "" if step is None else f" ({step})"
         for problem in _changed_file(name, entry, listing.get(name)):
-            yield Problem(problem.code, f"{problem.text}{of}")
+            yield ReleaseProblem(problem.code, f"{problem.text}{of}")
 
 
 def _steps_of_asset(release: Release) -> dict[str, str]:
@@ -219,46 +220,50 @@ def _steps_of_asset(release: Release) -> dict[str, str]:
     return steps
 
 
-def _misplaced_files(stated: Mapping[str, FileEntry]) -> Iterator[Problem]:
+def _misplaced_files(stated: Mapping[str, FileEntry]) -> Iterator[ReleaseProblem]:
     for name in (RESULTS, REPORT):
         if name not in stated:
-            yield Problem("files", f"{name}: a release without it")
+            yield ReleaseProblem("files", f"{name}: a release without it")
     for name in stated:
         if name not in (RESULTS, REPORT) and not name.startswith(f"{FILES}/"):
-            yield Problem("files", f"{name}: not a place for a file of a release")
+            yield ReleaseProblem("files", f"{name}: not a place for a file of a release")
 
 
 def _unlisted_entries(
     stated: Mapping[str, FileEntry], listing: Mapping[str, FolderEntry]
-) -> Iterator[Problem]:
+) -> Iterator[ReleaseProblem]:
     folders = set(_folders(stated))
     for name, found in sorted(listing.items()):
         if found.kind == "link":
-            yield Problem("files", f"{name}: a link instead of a file")
+            yield ReleaseProblem("files", f"{name}: a link instead of a file")
         elif found.kind == "other":
-            yield Problem("files", f"{name}: neither a file nor a folder")
+            yield ReleaseProblem("files", f"{name}: neither a file nor a folder")
         elif found.kind == "folder":
             if name not in folders:
-                yield Problem("files", f"{name}/: a folder that the statement does not list")
+                yield ReleaseProblem("files", f"{name}/: a folder that the statement does not list")
         elif name != ENVELOPE and name not in stated:
-            yield Problem("files", f"{name}: a file that the statement does not list")
+            yield ReleaseProblem("files", f"{name}: a file that the statement does not list")
         elif found.links > 1:
-            yield Problem("files", f"{name}: linked from {found.links} places")
+            yield ReleaseProblem("files", f"{name}: linked from {found.links} places")
 
 
-def _changed_file(name: str, entry: FileEntry, here: FolderEntry | None) -> Iterator[Problem]:
+def _changed_file(
+    name: str, entry: FileEntry, here: FolderEntry | None
+) -> Iterator[ReleaseProblem]:
     if here is None:
-        yield Problem("files", f"{name}: missing")
+        yield ReleaseProblem("files", f"{name}: missing")
     elif here.kind == "file" and here.sha256_with_lf == entry.sha256:
-        yield Problem(
+        yield ReleaseProblem(
             "files",
             f"{name}: has CR LF line endings where LF was signed; nothing else differs: "
             f"{LINE_ENDINGS_ADVICE}",
         )
     elif here.kind == "file" and here.size != entry.size:
-        yield Problem("files", f"{name}: changed, {here.size} bytes where {entry.size} were signed")
+        yield ReleaseProblem(
+            "files", f"{name}: changed, {here.size} bytes where {entry.size} were signed"
+        )
     elif here.kind == "file" and here.sha256 != entry.sha256:
-        yield Problem(
+        yield ReleaseProblem(
             "files",
             f"{name}: changed, SHA-256 {here.sha256[:16]}... where "
             f"{entry.sha256[:16]}... was signed",
@@ -272,33 +277,37 @@ def _folders(names: Iterable[str]) -> Iterator[str]:
             yield "/".join(parts[:end])
 
 
-def _place(release: Release, known: Circumstances) -> Iterator[Problem]:
+def _place(release: Release, known: Circumstances) -> Iterator[ReleaseProblem]:
     header = release.header
     if known.folder_number is not None and known.folder_number != header.number:
-        yield Problem(
+        yield ReleaseProblem(
             "folder", f"release {header.number} is in the folder of release {known.folder_number}"
         )
     if known.twin is not None and known.twin != header.twin:
-        yield Problem("twin", f"a release of the twin {header.twin!r}, not of {known.twin!r}")
+        yield ReleaseProblem(
+            "twin", f"a release of the twin {header.twin!r}, not of {known.twin!r}"
+        )
     if known.newer is not None and known.newer.number > header.number:
-        yield Problem("rollback", f"older than release {known.newer.number} beside it")
+        yield ReleaseProblem("rollback", f"older than release {known.newer.number} beside it")
     elif known.seen is not None and known.seen > header.number:
-        yield Problem("rollback", f"older than release {known.seen}, which was accepted here")
+        yield ReleaseProblem(
+            "rollback", f"older than release {known.seen}, which was accepted here"
+        )
     before = known.before
     if before is not None:
         stated = header.previous
         if stated is None or stated.number < before.number:
-            yield Problem("order", f"does not follow release {before.number} before it")
+            yield ReleaseProblem("order", f"does not follow release {before.number} before it")
         elif stated.number == before.number and stated.sha256 != before.sha256:
-            yield Problem(
+            yield ReleaseProblem(
                 "order", f"follows a release {before.number} other than the one before it"
             )
 
 
-def _time(release: Release, now: datetime, limits: ReleaseLimits) -> Iterator[Problem]:
+def _time(release: Release, now: datetime, limits: ReleaseLimits) -> Iterator[ReleaseProblem]:
     header = release.header
     if now >= statement.moment(header.expires):
-        yield Problem("expired", f"expired at {header.expires}")
+        yield ReleaseProblem("expired", f"expired at {header.expires}")
     skew = timedelta(seconds=limits.clock_skew_seconds)
     if statement.moment(header.created) > now + skew:
-        yield Problem("future", f"made at {header.created}, which is in the future")
+        yield ReleaseProblem("future", f"made at {header.created}, which is in the future")

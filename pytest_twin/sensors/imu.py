@@ -41,7 +41,7 @@ class ImuSensor:
 
 
 @dataclass(frozen=True)
-class Noise:
+class ChannelNoise:
     """Noise of one channel at rest.
 
     Attributes:
@@ -58,7 +58,7 @@ class Noise:
     instability: float | None
 
 
-def noise_of(still: FloatArray, rate: float) -> list[Noise]:
+def noise_of(still: FloatArray, rate: float) -> list[ChannelNoise]:
     """Return the noise of (n, k) readings at rest, by overlapping Allan deviation.
 
     Args:
@@ -90,7 +90,7 @@ def noise_of(still: FloatArray, rate: float) -> list[Noise]:
         least = int(np.argmin(deviations))
         flat = least < len(taus) - 2 and deviations[-1] > 1.05 * deviations[least]
         found.append(
-            Noise(
+            ChannelNoise(
                 density,
                 density / float(np.sqrt(2.0 * pairs)),
                 float(deviations[least]) / _FLAT if flat else None,

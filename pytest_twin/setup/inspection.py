@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.audit.run import findings_of
+from pytest_twin.audit.audit_file import findings_of
 from pytest_twin.checks import check_of, kinds
 from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.proposals import Actuation, fixed_base

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from pytest_twin.audit import finding
+from pytest_twin.audit.audit_file import audit
 from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
-from pytest_twin.audit.run import audit
 
 # The upper link is a solid bar of 0.3 x 0.06 x 0.06 m and 2 kg: I = m/12 (b^2 + c^2).
 CLEAN = """<?xml version="1.0"?>

@@ -9,10 +9,10 @@ import pytest
 from audited import box_stl, changed, findings_of, only, robots, write_clean
 
 from pytest_twin.audit import render, self_collision
+from pytest_twin.audit.audit_file import audit_file
 from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
-from pytest_twin.audit.run import audit_file
 
 BACK = {"back": {"elbow": 3.1}}
 

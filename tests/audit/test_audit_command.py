@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from audited import CLEAN, changed, line_of, write_clean
 
-from pytest_twin.audit.run import audit_file
+from pytest_twin.audit.audit_file import audit_file
 from pytest_twin.cli import main
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.declared_inputs import DeclaredInputs, declaring

@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pytest_twin.audit import finding
+from pytest_twin.audit.audit_file import audit, report
 from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
-from pytest_twin.audit.run import audit, report
 from pytest_twin.errors import TwinError
 
 HOSTILE = (

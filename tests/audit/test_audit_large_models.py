@@ -11,10 +11,10 @@ from audited import findings_of, only, write_clean
 
 from pytest_twin.asset.realize import realize
 from pytest_twin.audit import render, self_collision
+from pytest_twin.audit.audit_file import audit_file
 from pytest_twin.audit.broad_phase import near_pairs
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
-from pytest_twin.audit.run import audit_file
 from pytest_twin.errors import LimitError, ModelError, PathError
 
 LINE_OBJ = "v 0 0 0\nv 2 0 0\nv 1 0 0\nv 3 0 0\nl 1 3 2\nl 2 4\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from audited import changed, findings_of, robots, write_clean
 
-from pytest_twin.audit.run import audit_file
+from pytest_twin.audit.audit_file import audit_file
 from pytest_twin.audit.sources import SOURCES, source_of
 from pytest_twin.report.audit import table
 

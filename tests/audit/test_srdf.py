@@ -14,10 +14,10 @@ from audited import CLEAN, changed, line_of, robots, write_clean
 
 from pytest_twin.asset.urdf_elements import ENTRIES
 from pytest_twin.audit.read import read
+from pytest_twin.audit.srdf.audit_srdf import audit_srdf, check
 from pytest_twin.audit.srdf.document import Srdf
 from pytest_twin.audit.srdf.elements import ELEMENTS
 from pytest_twin.audit.srdf.files import srdfs_of
-from pytest_twin.audit.srdf.run import audit_srdf, check
 from pytest_twin.cli import main
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import urdf

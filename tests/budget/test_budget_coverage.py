@@ -13,9 +13,9 @@ sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "calibr
 import cells
 from budget_files import declared, make_twin
 
-from pytest_twin.budget.run import budget_of_file
+from pytest_twin.budget.budget_of_twin import budget_of_file
+from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.closed_form import inverse, rigid
-from pytest_twin.calibration.run import calibrate
 from pytest_twin.realization.serial_chain import SerialChain
 
 _CELLS = 4

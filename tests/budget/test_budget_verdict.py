@@ -11,7 +11,7 @@ sys.path.append(str(Path(__file__).parent))
 
 from budget_files import declared, fit_record, make_twin, zeros_record
 
-from pytest_twin.budget.run import budget_of_file
+from pytest_twin.budget.budget_of_twin import budget_of_file
 
 SMALL = [[1e-8, 0.0], [0.0, 1e-8]]
 POSITION = "  tolerance: {position: 0.002}\n"

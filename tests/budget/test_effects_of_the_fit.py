@@ -15,10 +15,10 @@ sys.path.append(str(Path(__file__).parent))
 from budget_files import ARM, FORE, UPPER, fit_record, make_twin, record_motion
 from test_propagation import make_locked_arm
 
+from pytest_twin.budget.budget_of_twin import budget_of_file
 from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.changed_replays import Change, ChangedReplays
 from pytest_twin.budget.effect_parameters import effect_parameter, with_values
-from pytest_twin.budget.run import budget_of_file
 from pytest_twin.commands.prediction import predict
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.open_loop import replay

@@ -24,8 +24,8 @@ from budget_files import (
     zeros_record,
 )
 
+from pytest_twin.budget.budget_of_twin import budget_of_file
 from pytest_twin.budget.categories import CATEGORIES
-from pytest_twin.budget.run import budget_of_file
 
 SMALL = [[1e-6, 0.0], [0.0, 1e-6]]
 

@@ -25,7 +25,7 @@ from budget_files import (
     zeros_record,
 )
 
-from pytest_twin.budget.run import budget_of_file
+from pytest_twin.budget.budget_of_twin import budget_of_file
 from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.records import inverse_with_covariance
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from test_calibrate_command import write_cell
 
+from pytest_twin.calibration.calibrate import calibrate_file
 from pytest_twin.calibration.exports import export_files
-from pytest_twin.calibration.run import calibrate_file
 from pytest_twin.checks import check_of
 from pytest_twin.checks.base import Measure, NothingToProposeError
 from pytest_twin.checks.files import find_file

@@ -18,11 +18,11 @@ import yaml
 sys.path.insert(0, str(Path(__file__).parent / "boards"))
 from rendered_boards import charuco, rendered_view
 
+from pytest_twin.calibration.calibrate import calibrate, calibrate_file
 from pytest_twin.calibration.closed_form import scale_of_seen
 from pytest_twin.calibration.problem import make_problem
 from pytest_twin.calibration.record_prediction import held_out_observations, recorded_state
 from pytest_twin.calibration.residual_errors import errors_of
-from pytest_twin.calibration.run import calibrate, calibrate_file
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.calibration_record import read_calibration_record
 

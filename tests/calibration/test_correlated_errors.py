@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pytest_twin.calibration.block_jackknife import block_jackknife
-from pytest_twin.calibration.run import calibrate
+from pytest_twin.calibration.calibrate import calibrate
 
 TRUTH = np.array([0.7, -0.3])
 

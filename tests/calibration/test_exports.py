@@ -10,6 +10,7 @@ import fr3
 import numpy as np
 import yaml
 
+from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.chain import ChainParameters, forward, link_parameters
 from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.exported_mjcf import write_calibrated_mjcf
@@ -19,7 +20,6 @@ from pytest_twin.calibration.exports import (
     easy_handeye,
     static_transforms,
 )
-from pytest_twin.calibration.run import calibrate
 from pytest_twin.realization.serial_chain import load_serial_chain
 
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import cells
 import numpy as np
 
+from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import HoldOut
-from pytest_twin.calibration.run import calibrate
 
 NONE_HELD = HoldOut(0.0)
 

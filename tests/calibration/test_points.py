@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.closed_form import inverse, kabsch, rigid
 from pytest_twin.calibration.observations import Observations
-from pytest_twin.calibration.run import calibrate
 from pytest_twin.errors import SpecError
 
 TIP = np.array([0.01, 0.02, 0.15])

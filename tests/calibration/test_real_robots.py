@@ -12,7 +12,7 @@ import fr3
 import numpy as np
 import pytest
 
-from pytest_twin.calibration.run import calibrate_file
+from pytest_twin.calibration.calibrate import calibrate_file
 
 RECORDINGS = Path(
     os.environ.get("TWIN_RECORDINGS") or Path(__file__).parents[3] / "shared" / "recordings"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.plan import Accept, HoldOut
-from pytest_twin.calibration.run import calibrate
 from pytest_twin.errors import SpecError
 
 PLAN = cells.plan("hand_eye", "base_world", accept=Accept(0.002, 0.004), hold_out=HoldOut(0.33, 1))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pytest_twin.calibration.calibrate import calibrate, solve_problem
 from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.observations import load_observations
 from pytest_twin.calibration.plan import HoldOut
@@ -18,7 +19,6 @@ from pytest_twin.calibration.problem import make_problem
 from pytest_twin.calibration.reach_hypotheses import hypotheses_in_words, reach_hypotheses
 from pytest_twin.calibration.residual_errors import errors_of
 from pytest_twin.calibration.residual_patterns import Residuals, pattern_of
-from pytest_twin.calibration.run import calibrate, solve_problem
 from pytest_twin.calibration.split import split
 
 NOISE_M = 1e-3

@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.boards.detection import Detection
 from pytest_twin.calibration.boards.target import make_target
+from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.intrinsics import make_intrinsics
 from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Accept, HoldOut, load_plan
-from pytest_twin.calibration.run import calibrate
 from pytest_twin.errors import SpecError
 
 TOLERANCE = 0.002

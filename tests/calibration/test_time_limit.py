@@ -17,7 +17,7 @@ from test_calibrate_images import write_cell
 
 from pytest_twin import cli
 from pytest_twin.calibration import time_limit
-from pytest_twin.calibration.run import calibrate_file
+from pytest_twin.calibration.calibrate import calibrate_file
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 

@@ -23,7 +23,7 @@ from pytest_twin.identification.contact.parameters import (
 )
 from pytest_twin.identification.contact.tosses import Toss, in_model_units
 from pytest_twin.identification.contact.uncertainty import Surface, bootstrap_minimum, is_as_good
-from pytest_twin.identification.run import identify_files
+from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.metrics.pose_track import rotation_errors
 from pytest_twin.realization import load
 from pytest_twin.realization.free_body import free_body

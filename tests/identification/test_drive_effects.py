@@ -25,10 +25,10 @@ from test_identify_simulation import MODEL, NOMINAL, REAL
 
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.identification.drive_effects import changed_attributes
-from pytest_twin.identification.effort.identify import identify_effort
+from pytest_twin.identification.effort.identify_effort import identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
+from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
-from pytest_twin.identification.run import identify_files
 from pytest_twin.identification.simulation import staged_fit
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS

@@ -13,7 +13,7 @@ from arms import REAL, TRUE, simulated_effort, write_mcap, write_model
 from test_fits_in_twin import SPEC, measures_of
 
 from pytest_twin.formats.schema import load_schema
-from pytest_twin.identification.run import identify_files
+from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.realization import load
 from pytest_twin.twin import load_twin
 

@@ -14,7 +14,7 @@ from pytest_twin.identification.effort.encoders import (
     EncoderErrors,
     widen_by_encoder_errors,
 )
-from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.records import effort_document

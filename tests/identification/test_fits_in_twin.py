@@ -26,7 +26,7 @@ from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.gate.distributions import installed_version
 from pytest_twin.gate.specs import load_golden
-from pytest_twin.identification.run import identify_files
+from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.realization import load
 from pytest_twin.realization.record_inputs import states_of_records
 from pytest_twin.report.identification import encoder_rows, render, signal_rows

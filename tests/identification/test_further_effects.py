@@ -20,7 +20,7 @@ from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
-from pytest_twin.identification.simulation import identify
+from pytest_twin.identification.simulation import identify_by_simulation
 from pytest_twin.identification.simulation.stage_effects import FURTHER, StagePlan
 from pytest_twin.identification.simulation.stage_fit import add_effects, held_out_error
 from pytest_twin.realization import load
@@ -158,13 +158,15 @@ def test_friction_is_fitted_again_once_the_limit_of_the_drive_is_known(
 ) -> None:
     """Without the limit no friction explains the motion, and the friction stage comes first."""
     # The other stages find nothing here, and would take half of the time.
-    two_stages = partial(identify.identify_simulation, plan=StagePlan(order=("friction", "drive")))
+    two_stages = partial(
+        identify_by_simulation.identify_simulation, plan=StagePlan(order=("friction", "drive"))
+    )
     shown: list[float] = []
 
     def watched(*arguments: Any, progress: Callable[[float], None], **options: Any) -> Any:
         return two_stages(*arguments, progress=shown.append, **options)
 
-    monkeypatch.setattr(identify, "identify_simulation", watched)
+    monkeypatch.setattr(identify_by_simulation, "identify_simulation", watched)
     (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
     one, two, held = (
         str(write_trial(tmp_path / f"{name}.csv", seed, limited(1.0), REAL))

@@ -15,9 +15,9 @@ from test_identify_simulation import MODEL, NOMINAL, REAL
 
 from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.errors import RecordingError
+from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.identification.known_effects import kept_effects, known_efforts, notes_on_effects
 from pytest_twin.identification.recheck import recheck
-from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import Realization, load
 from pytest_twin.twin import load_twin
 

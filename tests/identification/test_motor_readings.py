@@ -13,7 +13,7 @@ from test_drive_effects import limited, write
 from test_identify_simulation import MODEL, NOMINAL
 
 from pytest_twin.errors import RecordingError
-from pytest_twin.identification.run import identify_files
+from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.provenance.poses import poses_of
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions

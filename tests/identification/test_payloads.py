@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arms import JOINTS, REAL, TRUE, simulated_effort, write_mcap, write_model
 
-from pytest_twin.identification.effort.identify import EffortResult, identify_effort
+from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.realization import load

@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.budget.categories import category_of_parameter
-from pytest_twin.identification.run import identify_files
+from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.report import identification
 from pytest_twin.sensors.encoder import Encoder, encoder_of
 from pytest_twin.sensors.force_torque import ForceTorqueSensor

@@ -17,11 +17,11 @@ from fourier_motion import fourier
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.identification import closed_loop
 from pytest_twin.identification.drive_effects import DriveRecordings, drive_recordings
-from pytest_twin.identification.effort.identify import identify_effort
+from pytest_twin.identification.effort.identify_effort import identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.fit_patches import patches_of
+from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
-from pytest_twin.identification.run import identify_files
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS

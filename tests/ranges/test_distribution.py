@@ -32,8 +32,8 @@ from pytest_twin.open_loop import replay
 from pytest_twin.ranges.check import assess, predict_envelopes
 from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.ranges.gather import UncertainParameters, collect_uncertain_parameters
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 from pytest_twin.ranges.recordings import read_check_recordings
-from pytest_twin.ranges.run import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import Realization, load
 from pytest_twin.trial import Trial

@@ -21,7 +21,7 @@ from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.formats.mcap import read_recording
 from pytest_twin.loaded_model import load_model
 from pytest_twin.ranges.gather import collect_uncertain_parameters
-from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import load
 from pytest_twin.trial import Trial, make_trial

@@ -23,8 +23,8 @@ from pytest_twin.ranges import gather
 from pytest_twin.ranges.distribution import Coordinate, Distribution
 from pytest_twin.ranges.files import write_files
 from pytest_twin.ranges.gather import collect_uncertain_parameters
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 from pytest_twin.ranges.recordings import read_check_recordings
-from pytest_twin.ranges.run import ranges_of_file
 from pytest_twin.ranges.simulate import VariedRobots
 from pytest_twin.realization import load
 from pytest_twin.twin import load_twin

@@ -14,7 +14,7 @@ sys.path.append(str(Path(__file__).parent))
 from ranges_files import covariance, make_twin, record
 
 from pytest_twin.errors import FormatError
-from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 
 ISAAC = """
 from somewhere import mdp

@@ -18,7 +18,7 @@ sys.path.append(str(Path(__file__).parent))
 from ranges_files import ARM, covariance, make_twin, record
 
 from pytest_twin.ranges.files import write_files
-from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 
 TORCH = """
 import numpy as np

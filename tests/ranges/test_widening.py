@@ -13,7 +13,7 @@ sys.path.append(str(Path(__file__).parent))
 from ranges_files import MEANS, STD, covariance, make_twin, record, record_motion, true_arm
 
 from pytest_twin.ranges import widening
-from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 from pytest_twin.ranges.widening import Deviation, fewest_robots, widen
 
 

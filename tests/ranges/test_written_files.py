@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).parent))
 from ranges_files import MEANS, NAMES, STD, covariance, make_twin, record
 
 from pytest_twin.ranges.files import FILES, write_files
-from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 
 APART = "import sys; sys.modules['pytest_twin'] = sys.modules['scipy'] = None\n"
 

@@ -36,7 +36,10 @@ MODEL = """<mujoco>
       </body>
     </body>
     <body name="box"><freejoint/><geom name="box" size="0.1"/></body>
-    <body name="ghost"><freejoint/><geom name="ghost" size="0.1" contype="2" conaffinity="1"/></body>
+    <body name="ghost">
+      <freejoint/>
+      <geom name="ghost" size="0.1" contype="2" conaffinity="1"/>
+    </body>
   </worldbody>
   <contact><exclude body1="hand" body2="box"/><exclude body1="pedestal" body2="forearm"/></contact>
 </mujoco>"""

@@ -33,7 +33,7 @@ def both(stage: Path) -> tuple[Realization, Realization]:
     return load(stage.with_suffix(".urdf")), load(stage, simulator="newton")
 
 
-def simulated_fall(realization: Realization, seconds: float = 0.15) -> simulate.Run:
+def simulated_fall(realization: Realization, seconds: float = 0.15) -> simulate.SimulatedMotion:
     """A fall under gravity with a time step of 1 ms, without contacts and joint limits."""
     model = simulate.prepare_model(realization, contact=False)
     model.opt.timestep = 0.001

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from pytest_twin.asset.realize import realize
-from pytest_twin.audit.run import audit_file
+from pytest_twin.audit.audit_file import audit_file
 from pytest_twin.errors import FormatError, LimitError, TwinError
 from pytest_twin.realization import load
 

@@ -10,7 +10,7 @@ import pytest
 from test_mjcf_loading import binary_stl
 
 from pytest_twin.asset.realize import realize
-from pytest_twin.audit.run import audit_file
+from pytest_twin.audit.audit_file import audit_file
 from pytest_twin.errors import ModelError, PathError
 from pytest_twin.realization import load
 

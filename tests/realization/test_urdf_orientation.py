@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.asset.realize import realize
-from pytest_twin.audit.run import audit_file
+from pytest_twin.audit.audit_file import audit_file
 from pytest_twin.cli import main
 from pytest_twin.errors import ModelError
 from pytest_twin.realization import load, urdf

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from recorded_cell import changed, edit, states, write_cell, write_identification
 
-from pytest_twin.budget.run import budget_of_file
+from pytest_twin.budget.budget_of_twin import budget_of_file
 from pytest_twin.errors import SpecError
-from pytest_twin.ranges.run import ranges_of_file
+from pytest_twin.ranges.ranges_of_twin import ranges_of_file
 from pytest_twin.realization import load
 from pytest_twin.realization.record_inputs import basis_json, result_basis, unfitted
 from pytest_twin.records.basis import Uses

@@ -8,7 +8,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State, Variables
-from pytest_twin.calibration.problem import Problem
+from pytest_twin.calibration.problem import CalibrationProblem
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Arm:
         state: joint zeros and link deviations at which the steps are 0.
     """
 
-    problem: Problem
+    problem: CalibrationProblem
     state: State
 
     @property
@@ -52,7 +52,7 @@ class Arm:
         return poses, np.concatenate([moving.shift, moving.turn], axis=1)
 
 
-def arm_of(problem: Problem, rows: np.ndarray, state: State) -> Arm | None:
+def arm_of(problem: CalibrationProblem, rows: np.ndarray, state: State) -> Arm | None:
     """Return the arm's unknowns of a problem; None if it has none."""
     layout = problem.layout
     if not layout.zeros and not layout.links:

@@ -20,8 +20,8 @@ from pytest_twin.calibration.cameras.arm import Arm
 from pytest_twin.calibration.cameras.intrinsics import NAMES
 from pytest_twin.calibration.cameras.normal_equations import (
     Equations,
+    MeasurementNoise,
     Model,
-    Noise,
     Unknowns,
     apply_step,
     linearize,
@@ -78,7 +78,7 @@ class Bundle:
     scale_std: float
     covariance: FloatArray
     degrees: float
-    noise: Noise
+    noise: MeasurementNoise
     residuals: FloatArray
     image: np.ndarray
     robot: FloatArray
@@ -100,7 +100,7 @@ class Bundle:
 class KnownNoise:
     """Noise that is held (``is_exact``) or that the estimation of the noise starts from."""
 
-    value: Noise
+    value: MeasurementNoise
     is_exact: bool = True
 
 
@@ -156,7 +156,7 @@ def bundle(
     )
     if arm is not None:
         start = replace(start, arm=np.zeros(arm.count))
-    unknowns, sizes = start, Noise() if noise is None else noise.value
+    unknowns, sizes = start, MeasurementNoise() if noise is None else noise.value
     for _ in range(_ROUNDS):
         unknowns = _minimize(model, unknowns, sizes)
         if noise is not None and noise.is_exact:
@@ -197,7 +197,7 @@ def _degrees(model: Model) -> float:
     return float(max(corners, 1))
 
 
-def _minimize(model: Model, unknowns: Unknowns, noise: Noise) -> Unknowns:
+def _minimize(model: Model, unknowns: Unknowns, noise: MeasurementNoise) -> Unknowns:
     """Return the unknowns at the nearest local minimum of the cost (Levenberg-Marquardt)."""
     equations: Equations = linearize(model, unknowns, noise)
     damping = 1e-6

@@ -16,7 +16,7 @@ from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.intrinsics import NAMES, Intrinsics
 from pytest_twin.calibration.cameras.normal_equations import Unknowns
 from pytest_twin.calibration.problem import predicted_poses
-from pytest_twin.calibration.records import Estimate
+from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.terms import PoseTerm
 from pytest_twin.calibration.wrong_scale import FreeScale
 
@@ -31,12 +31,12 @@ class Refined:
         scale: scale of the board, estimated without its tolerance.
     """
 
-    estimate: Estimate
+    estimate: CalibrationEstimate
     camera: Camera
     scale: FreeScale
 
 
-def refine_on_corners(found: Estimate, images: Images, camera: Camera) -> Refined | None:
+def refine_on_corners(found: CalibrationEstimate, images: Images, camera: Camera) -> Refined | None:
     """Return the estimate, fitted to the corners in the images instead of to poses.
 
     Joint zeros and links are unknowns too if the plan asks for them. Returns None if other things

@@ -15,7 +15,7 @@ from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.coincident_markers import ExcludedMeasurement
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
-from pytest_twin.calibration.records import Estimate
+from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.repeated_rows import without_repeats
 from pytest_twin.calibration.residual_errors import acceptance_failures
 from pytest_twin.calibration.split import split
@@ -41,12 +41,12 @@ class ImageRefinement:
         self._fitted = [observations.ids[row] for row in fitted]
         self.camera = images.camera(self._fitted)
         self.scale: FreeScale | None = None
-        self._estimate: Estimate | None = None
+        self._estimate: CalibrationEstimate | None = None
         misfit = images.misfit(self._fitted, self.camera)
         self.notes: list[str] = [misfit] if misfit else []
 
     @property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> CalibrationEstimate:
         """The refined estimate. Valid only after ``refine`` returned True."""
         assert self._estimate is not None
         return self._estimate
@@ -57,7 +57,7 @@ class ImageRefinement:
         self.notes += [note for note in notes if note not in self.notes]
         return found
 
-    def refine(self, found: Estimate) -> bool:
+    def refine(self, found: CalibrationEstimate) -> bool:
         """Refine an estimate on poses with the corners in images; False if that is impossible."""
         if is_over():
             return False

@@ -33,7 +33,7 @@ outliers; corners and robots have fewer."""
 
 
 @dataclass(frozen=True)
-class Noise:
+class MeasurementNoise:
     """Standard deviations of the measurements; the defaults are typical values.
 
     Attributes:
@@ -54,7 +54,7 @@ class Noise:
         return np.array([self.pixel, self.position, self.orientation, self.board])
 
 
-LEAST_NOISE = Noise(0.01, 5e-6, 5e-6, 1e-5)
+LEAST_NOISE = MeasurementNoise(0.01, 5e-6, 5e-6, 1e-5)
 """Lower bounds of the estimated noise, which exact synthetic data need."""
 
 
@@ -200,7 +200,7 @@ class Equations:
         return Elimination(self.matrix)
 
 
-def linearize(model: Model, unknowns: Unknowns, noise: Noise) -> Equations:
+def linearize(model: Model, unknowns: Unknowns, noise: MeasurementNoise) -> Equations:
     """Return the weighted normal equations at given values of the unknowns."""
     corners = replace(model.corners, points=unknowns.scale * unknowns.board[model.corners.ids])
     pixels, by_pose, by_intrinsics = reprojection_residuals(
@@ -301,7 +301,7 @@ def apply_step(model: Model, at: Unknowns, step: Step) -> Unknowns:
     )
 
 
-def noise_of(model: Model, unknowns: Unknowns, noise: Noise) -> Noise:
+def noise_of(model: Model, unknowns: Unknowns, noise: MeasurementNoise) -> MeasurementNoise:
     """Estimate the noise of each kind of residual from its squares and its redundancy.
 
     The unknowns use up as many degrees of freedom as there are unknowns. Each kind of residual

@@ -33,7 +33,7 @@ INSTRUMENTS: Estimator = "instrumental variables"
 
 
 @dataclass(frozen=True)
-class Estimate:
+class EffortEstimate:
     """Essential parameters with the chosen estimator and the reason.
 
     Attributes:
@@ -60,7 +60,9 @@ class Estimate:
         return found
 
 
-def estimate(problem: LinearProblem, tested: LinearProblem, found: EssentialParameters) -> Estimate:
+def estimate(
+    problem: LinearProblem, tested: LinearProblem, found: EssentialParameters
+) -> EffortEstimate:
     """Choose the estimator by the test of Durbin, Wu and Hausman, and check its intervals.
 
     Args:
@@ -91,7 +93,7 @@ def estimate(problem: LinearProblem, tested: LinearProblem, found: EssentialPara
             half = np.hypot(solution.half_width, Z95 * bias)
             solution = replace(solution, half_width=half)
     left = own.instrument if estimator == INSTRUMENTS else None
-    return Estimate(
+    return EffortEstimate(
         fitted=replace(found, solution=solution),
         estimator=estimator,
         why=why,

@@ -16,7 +16,7 @@ from pytest_twin.identification.effort.delay import without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
 from pytest_twin.identification.effort.effort_scale import divide_by_scales
 from pytest_twin.identification.effort.filtering import Filter, differentiate, resample_uniformly
-from pytest_twin.identification.effort.identify import EffortResult
+from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
 from pytest_twin.identification.effort.recording_rows import inner_rows
 from pytest_twin.identification.measured_recordings import MeasuredRecording

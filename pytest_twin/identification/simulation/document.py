@@ -15,7 +15,7 @@ from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.motions import undetermined_by_command
 from pytest_twin.identification.records import correlated_pairs, verdict_of
 from pytest_twin.identification.simulation.command_mistakes import command_mistakes
-from pytest_twin.identification.simulation.identify import SimulationResult
+from pytest_twin.identification.simulation.identify_by_simulation import SimulationResult
 from pytest_twin.identification.simulation.passive_joints import impossible
 from pytest_twin.identification.simulation.staged_fit import place_of
 

@@ -12,8 +12,8 @@ from pytest_twin.realization.features import (
     bodies,
     couplings,
     keyframes,
+    option_parts,
     sensors,
-    settings,
     surfaces,
 )
 from pytest_twin.realization.features.canonical import (
@@ -45,9 +45,9 @@ def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[s
         "gravity [m/s^2]": as_list(model.opt.gravity),
         "disabled": bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY),
     }
-    found["option:integration"] = settings.options(elements)
-    found["custom"] = settings.custom(elements)
-    found["other"] = settings.other(elements)
+    found["option:integration"] = option_parts.options(elements)
+    found["custom"] = option_parts.custom(elements)
+    found["other"] = option_parts.other(elements)
     return found
 
 

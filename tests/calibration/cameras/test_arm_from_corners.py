@@ -16,6 +16,7 @@ import cells
 
 from pytest_twin.calibration.boards.detection import Detection
 from pytest_twin.calibration.boards.target import make_target
+from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.cameras.arm import arm_of
 from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.increments import apply_change, by_measured, difference
@@ -25,7 +26,6 @@ from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Priors
 from pytest_twin.calibration.problem import make_problem
-from pytest_twin.calibration.run import calibrate
 
 CAMERA = make_intrinsics({"fx": 900.0, "fy": 905.0, "cx": 510.0, "cy": 378.0})
 TARGET = make_target({"kind": "chessboard", "squares": [8, 5], "square": 0.04})

@@ -14,7 +14,7 @@ from pytest_twin.calibration.boards.target import make_target
 from pytest_twin.calibration.cameras.bundle import KnownNoise, Robot, bundle
 from pytest_twin.calibration.cameras.increments import apply_change
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics, make_intrinsics, project
-from pytest_twin.calibration.cameras.normal_equations import Noise, Unknowns
+from pytest_twin.calibration.cameras.normal_equations import MeasurementNoise, Unknowns
 from pytest_twin.calibration.cameras.pose import target_pose
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
 from pytest_twin.calibration.closed_form import inverse
@@ -172,7 +172,7 @@ def test_a_known_noise_is_not_changed():
     reported, detections, _ = cell("hand", 7)
     seen = np.array([target_pose(d, CAMERA).camera_from_target for d in detections])
     first = solve_all(reported, seen, "hand")["park"]
-    noise = Noise(0.25, 4e-4, 6e-4)
+    noise = MeasurementNoise(0.25, 4e-4, 6e-4)
     board = TARGET.board_points()
     start = Unknowns(first.hand_eye, first.robot_world, CAMERA.vector, seen, board)
     assert (

@@ -32,12 +32,12 @@ from pytest_twin.calibration.observability import (
 from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
-from pytest_twin.calibration.problem import Problem, make_problem, reported_flange
+from pytest_twin.calibration.problem import CalibrationProblem, make_problem, reported_flange
 from pytest_twin.calibration.reach_hypotheses import hypotheses_in_words, reach_hypotheses
 from pytest_twin.calibration.recordings.gather import GatheredObservations, gather
 from pytest_twin.calibration.records import (
     TARGET_SCALE,
-    Estimate,
+    CalibrationEstimate,
     estimate,
     full_covariance,
     records,
@@ -81,7 +81,7 @@ class Solution:
             distinguished.
     """
 
-    estimate: Estimate
+    estimate: CalibrationEstimate
     gauges: tuple[Gauge, ...]
     candidates: Mapping[str, State]
     sources: Mapping[str, float]
@@ -327,7 +327,7 @@ def calibrate(
     return document
 
 
-def solve_problem(problem: Problem) -> Solution:
+def solve_problem(problem: CalibrationProblem) -> Solution:
     """Return the best solution of a problem over all starts.
 
     Raises:
@@ -364,7 +364,9 @@ def _suspected(
     return () if scale is None else (scale,)
 
 
-def _add_hypotheses(shape: dict[str, Any] | None, fit: Fit, held: Problem, errors: Errors) -> None:
+def _add_hypotheses(
+    shape: dict[str, Any] | None, fit: Fit, held: CalibrationProblem, errors: Errors
+) -> None:
     """Add possible causes to the pattern of errors that grow with reach."""
     if shape is not None and shape["kind"] == "grows_with_reach" and not is_over():
         shape["hypotheses"] = reach_hypotheses(fit, held, errors)
@@ -402,7 +404,7 @@ def _errors_json(errors: Errors, payloads: Sequence[str] | None) -> dict[str, An
 
 
 def _solvers(
-    held: Problem, solved: Solution, errors: Errors
+    held: CalibrationProblem, solved: Solution, errors: Errors
 ) -> tuple[dict[str, Any], BetterSolver | None]:
     """Return the held-out errors of each solver, and one that is better than least squares."""
     chosen = set(errors.ids)
@@ -442,7 +444,7 @@ def _outliers(fit: Fit) -> list[ExcludedMeasurement]:
     return found
 
 
-def _notes(plan: Plan, held: Problem) -> list[str]:
+def _notes(plan: Plan, held: CalibrationProblem) -> list[str]:
     found = []
     if len(held.observations) == 0:
         found.append(

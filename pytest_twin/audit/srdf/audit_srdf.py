@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.audit import finding, self_collision
+from pytest_twin.audit.audit_file import SCHEMA
 from pytest_twin.audit.finding import PLANNING, SEVERITIES, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
-from pytest_twin.audit.run import SCHEMA
 from pytest_twin.audit.srdf import collisions, elements, groups, states
 from pytest_twin.audit.srdf.document import Srdf
 from pytest_twin.audit.srdf.files import urdf_of

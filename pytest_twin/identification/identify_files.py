@@ -13,14 +13,14 @@ from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import PathError, RecordingError, TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.identification.closed_loop import close_loop, effort_responses, trials_of
-from pytest_twin.identification.contact.identify import are_tosses, identify_contact
+from pytest_twin.identification.contact.identify_contact import are_tosses, identify_contact
 from pytest_twin.identification.contact.roles import TossOptions
 from pytest_twin.identification.drive_effects import (
     add_covariance,
     drive_recordings,
     with_drive_effects,
 )
-from pytest_twin.identification.effort.identify import has_effort, identify_effort
+from pytest_twin.identification.effort.identify_effort import has_effort, identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.encoder_changes import encoder_changes
 from pytest_twin.identification.fit_patches import patches_of
@@ -28,7 +28,7 @@ from pytest_twin.identification.known_effects import notes_on_effects
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.roles import read_by_role
-from pytest_twin.identification.sensing.identify import identify_sensors
+from pytest_twin.identification.sensing.identify_sensors import identify_sensors
 from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
 from pytest_twin.realization import Realization, load
@@ -276,7 +276,7 @@ def _from_commands(
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.diagnosis.unit_check import drop_other_units
     from pytest_twin.identification.simulation.document import simulation_document
-    from pytest_twin.identification.simulation.identify import identify_simulation
+    from pytest_twin.identification.simulation.identify_by_simulation import identify_simulation
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
     trials = read_trials(recordings, held_out, topics, realization.structure, options)

@@ -34,7 +34,7 @@ from pytest_twin.identification.effort.essential_parameters import (
     EssentialParameters,
     find_essential_parameters,
 )
-from pytest_twin.identification.effort.estimate import INSTRUMENTS, Estimate, estimate
+from pytest_twin.identification.effort.estimate import INSTRUMENTS, EffortEstimate, estimate
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
 from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
 from pytest_twin.identification.effort.input_mistakes import InputMistake, find_mistakes
@@ -135,7 +135,7 @@ class EffortResult:
     delay: Delay | None
     suspected: tuple[InputMistake, ...]
     notes: tuple[str, ...]
-    estimate: Estimate
+    estimate: EffortEstimate
     encoders: EncoderErrors = field(default_factory=EncoderErrors)
     scales: Mapping[str, Scale] = field(default_factory=dict)
     gains: Mapping[str, Scale] = field(default_factory=dict)
