@@ -90,10 +90,21 @@ def test_with_degrees_the_calibration_converts_the_gripper_alone(tmp_path: Path)
     np.testing.assert_allclose(found.series["state"].position, expected(counts()), atol=1e-9)
 
 
-def test_a_gripper_without_calibration_is_noted(tmp_path: Path) -> None:
+def test_a_gripper_in_per_cent_of_an_unknown_range_is_left_out(tmp_path: Path) -> None:
     folder = dataset(tmp_path, recorded(counts(), degrees=True))
     found = read_one(folder, units="deg")
-    assert "gripper: LeRobot's drivers record a gripper in per cent" in " ".join(found.notes)
+    for one in found.series.values():
+        assert one.names == ("shoulder_pan", "elbow_flex")
+        np.testing.assert_allclose(one.position, expected(counts())[:, :2], atol=1e-9)
+    said = " ".join(found.notes)
+    assert "left out: gripper: LeRobot's drivers record a gripper in per cent" in said
+    assert "--motor-calibration FILE.json" in said
+
+
+def test_a_gripper_of_another_robot_has_the_unit_of_its_joints(tmp_path: Path) -> None:
+    folder = dataset(tmp_path, recorded(counts(), degrees=True), robot_type="my_arm")
+    found = read_one(folder, units="deg")
+    assert found.series["state"].names == tuple(RANGES)
 
 
 @pytest.mark.parametrize("robot", ["so101_follower", "my_arm"])

@@ -236,9 +236,11 @@ class _Dataset:
     def series(
         self, role: str, feature: _Feature, values: Floats, time: Integers, unit: Unit
     ) -> JointSeries:
-        names = tuple(dict.fromkeys(feature.names))
+        names = tuple(name for name in dict.fromkeys(feature.names) if name not in unit.unknown)
         tables: dict[str, Floats | None] = dict.fromkeys(QUANTITIES)
         for at, (name, quantity) in enumerate(zip(feature.names, feature.quantities, strict=True)):
+            if name in unit.unknown:
+                continue
             table = tables[quantity]
             if table is None:
                 table = tables[quantity] = np.full((len(time), len(names)), np.nan)

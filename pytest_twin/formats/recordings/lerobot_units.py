@@ -66,10 +66,12 @@ class Unit:
     Attributes:
         name: ``rad``, ``deg`` or ``percent``.
         motors: motor -> its calibrated range, where one is given.
+        unknown: joints in per cent of a range that is not known.
     """
 
     name: str
     motors: Mapping[str, MotorRange]
+    unknown: frozenset[str] = frozenset()
 
     def angles(self, joint: str, values: Floats) -> Floats:
         """Return the positions of a joint in rad."""
@@ -140,15 +142,17 @@ def unit_of(declared: Declared, positions: Positions, notes: Notes) -> Unit:
     if reversed_motors:
         notes.add("units", "drive_mode 1, angles in the direction of the encoder: "
                   + list_names(reversed_motors))  # fmt: skip
-    grippers = sorted(joint for joint in joints if is_gripper(joint))
-    if own_driver and name == "deg" and grippers and not set(grippers) & set(declared.motors):
+    unknown = {joint for joint in joints if is_gripper(joint)} - set(declared.motors)
+    if not own_driver or name != "deg":
+        return Unit(name, declared.motors)
+    if unknown:
         notes.add(
             "units",
-            f"{list_names(grippers)}: LeRobot's drivers record a gripper in per cent, also where "
-            "other joints are in degrees; its positions are no angles (--motor-calibration "
-            "FILE.json converts them)",
+            f"left out: {list_names(sorted(unknown))}: LeRobot's drivers record a gripper in per "
+            "cent of its range, also where other joints are in degrees; --motor-calibration "
+            "FILE.json of the arm (calibration/robots/ in LeRobot's cache) converts it",
         )
-    return Unit(name, declared.motors)
+    return Unit(name, declared.motors, frozenset(unknown))
 
 
 def _stated(declared: Declared) -> str | None:
