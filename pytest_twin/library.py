@@ -111,7 +111,7 @@ def diagnose(
         recordings: recordings of which some are fitted.
         held_out: recordings that only test the result; by default some of ``recordings``.
         out: folder of the result, new or that of an earlier diagnosis.
-        seconds: limit of the search, s; 0 for none.
+        seconds: limit of the processor time, s; 0 for none.
 
     Raises:
         TwinError: the input cannot be used.

@@ -21,6 +21,7 @@ from pytest_twin.errors import SpecError
 from pytest_twin.open_loop import Row, replay_rows
 from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
 from pytest_twin.realization.patch import suggest
+from pytest_twin.time_limit import skips
 from pytest_twin.trial import Trial
 
 _FIELDS = {
@@ -187,7 +188,7 @@ def base_parameters(spec: UpdateSpec, model: mujoco.MjModel) -> FloatArray:
 def track(
     recursion: Recursion, rows: Sequence[Row], *, disturb: Disturb | None = None
 ) -> list[Window]:
-    """Predict and update the windows of trials in order of time.
+    """Predict and update the windows of trials in order of time, until the run must end.
 
     Args:
         recursion: state of the estimation, which is changed in place.
@@ -197,6 +198,8 @@ def track(
     found: list[Window] = []
     for row in rows:
         for start, true in _windows(row.trial, recursion.spec.window):
+            if skips(f"windows of {row.trial.name} from {start:.3g} s"):
+                return found
             seen: Trial | None = true
             if disturb is not None:
                 position = disturb(true.time + start, true.position)

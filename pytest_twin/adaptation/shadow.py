@@ -25,8 +25,10 @@ from pytest_twin.diagnosis.patched.replay import replay_whole
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Quantity, si_unit
 from pytest_twin.errors import SpecError
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.open_loop import Replayed, replay, row_of
 from pytest_twin.realization import Realization, load
+from pytest_twin.time_limit import limited, skips
 from pytest_twin.trial import Trial, make_trials
 from pytest_twin.trial.read import recordings_at
 from pytest_twin.trial.roles import refuse_final
@@ -64,16 +66,38 @@ class ComparedTwin:
         return cls(twin, load(first.file, twin=twin, name=first.name))
 
 
-def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str, Any]:
+def shadow(
+    released: str, candidate: str, recordings: Sequence[str], seconds: float = 0.0
+) -> dict[str, Any]:
     """Compare a candidate with a release over recordings, and inject faults into it.
+
+    At the time limit and at a stop request of the parent, the comparison so far is the result, and
+    the candidate is rejected.
 
     Args:
         released, candidate: ``twin.yaml`` of either.
         recordings: paths, in the order of time.
+        seconds: limit of the processor time, s; 0 for none.
 
     Raises:
         TwinError: a twin does not load, a recording cannot be used, or a simulation diverges.
     """
+    with limited(seconds) as limit:
+        try:
+            document = _compare(released, candidate, recordings)
+        except OutOfTime:
+            document = {
+                "policy": {"metrics": {}, "safety": {}},
+                "metrics": [], "faults": [], "acting": None, "notes": [],
+            }  # fmt: skip
+    document["not_tried"] = limit.not_tried
+    if limit.not_tried:
+        document["verdict"] = "rejected"
+        document["notes"].insert(0, limit.note())
+    return document
+
+
+def _compare(released: str, candidate: str, recordings: Sequence[str]) -> dict[str, Any]:
     base, other = ComparedTwin.of(released), ComparedTwin.of(candidate)
     read = [
         recording
@@ -128,13 +152,13 @@ def shadow(released: str, candidate: str, recordings: Sequence[str]) -> dict[str
 def _compare_twins(
     base: ComparedTwin, other: ComparedTwin, trials: Sequence[Trial], policy: ShadowPolicy
 ) -> dict[str, Any]:
-    before = [_replay(base, trial) for trial in trials]
+    before = _replay_until_limit(base, trials)
     spec = other.twin.residual
     faults: list[dict[str, Any]] = []
     notes: list[str] = []
     acting = None
     if spec is None:
-        after = [_replay(other, trial) for trial in trials]
+        after = _replay_until_limit(other, trials)
         notes.append("the candidate declares no residual and no update: no faults to inject")
     else:
         if read_patched_model(other.realization) is not None:
@@ -150,7 +174,9 @@ def _compare_twins(
         after = []
         reasons: Counter[str] = Counter()
         passed = 0
-        for row in rows:
+        for row in rows[: len(before)]:
+            if after and skips(f"recording {row.trial.name}"):
+                continue
             guard = Guard(spec, law)
             result, log = simulate(row, guard)
             after.append(result)
@@ -164,6 +190,7 @@ def _compare_twins(
         }
         most = int(np.argmax([_active_samples(log) for log in logs]))
         faults = inject(spec, law, rows[most], logs[most])
+    before = before[: len(after)]
     for result in (*before, *after):
         if result.error is not None:
             raise result.error
@@ -173,6 +200,22 @@ def _compare_twins(
         "acting": acting,
         "notes": notes,
     }
+
+
+def _replay_until_limit(side: ComparedTwin, trials: Sequence[Trial]) -> list[Replayed]:
+    """Replay trials in order of time until the run must end.
+
+    Raises:
+        OutOfTime: before the first one.
+    """
+    replayed = []
+    for trial in trials:
+        if skips(f"recording {trial.name}"):
+            break
+        replayed.append(_replay(side, trial))
+    if not replayed:
+        raise OutOfTime
+    return replayed
 
 
 def _unit_of_metric(metric: str, joint: str, realization: Realization) -> str:

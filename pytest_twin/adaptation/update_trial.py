@@ -20,8 +20,10 @@ from pytest_twin.adaptation_spec import ShadowPolicy, UpdateSpec
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.errors import RecordingError, SpecError
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.open_loop import Row, replay_rows, row_of
 from pytest_twin.realization import Realization
+from pytest_twin.time_limit import is_over, skips
 from pytest_twin.trial import Trial
 
 _FIRST_FAULT, _FAULT_WINDOWS = 4, 3
@@ -58,6 +60,7 @@ def try_update(
     Raises:
         SpecError: the model lacks parameters, or the base has effects outside of its model.
         RecordingError: no recording is long enough for a window.
+        OutOfTime: the run must end before the first window.
     """
     if read_patched_model(realization) is not None:
         raise SpecError(
@@ -68,6 +71,8 @@ def try_update(
     rows = [row_of(realization, trial) for trial in trials]
     recursion = Recursion(spec, base_parameters(spec, rows[0].model))
     windows = track(recursion, rows)
+    if not windows and is_over():
+        raise OutOfTime
     if not windows:
         raise RecordingError(
             "no window of motion to update from",
@@ -81,9 +86,13 @@ def try_update(
         own = released_update or spec
         shown = track(Recursion(own, base_parameters(own, others[0].model)), others)
         before = [w.base_rms if released_update is None else w.updated_rms for w in shown]
+        if not before:
+            raise OutOfTime
         notes.append("the candidate's model is another one: it is compared with the release's")
     share = policy.metrics.get("position_rms", 0.0)
-    after = [w.updated_rms for w in windows]
+    # A run that ends early may have fewer windows of the release.
+    after = [w.updated_rms for w in windows[: len(before)]]
+    before = before[: len(after)]
     allowed = policy.safety.get("position_max", 0.0)
     resting = _at_bounds(spec, windows)
     notes += [
@@ -173,6 +182,8 @@ def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[d
     simulated = _base_model_rows(some, spec.noise)
     found = []
     for name, change in _CHANGES.items():
+        if skips(f"fault {name}"):
+            continue
         windows = track(
             _recursion_from(learned, learned.value), some, disturb=_WindowsWithFault(change)
         )

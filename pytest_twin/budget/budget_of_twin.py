@@ -24,6 +24,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.gate.specs import load_golden, spec_paths
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.record_inputs import refuse_stale_records, result_basis
+from pytest_twin.time_limit import current_limit, limited, skips
 from pytest_twin.twin import Twin, load_twin
 
 MEANING = (
@@ -33,7 +34,10 @@ MEANING = (
 
 
 def budget_of_file(
-    path: str, progress: Callable[[float], None] | None = None, folder: str = ""
+    path: str,
+    progress: Callable[[float], None] | None = None,
+    folder: str = "",
+    seconds: float = 0.0,
 ) -> dict[str, Any]:
     """Return the content of ``budget.json`` for a ``twin.yaml``.
 
@@ -41,6 +45,7 @@ def budget_of_file(
         path: path of the ``twin.yaml``.
         progress: called with the fraction done.
         folder: folder of the result; that of the twin if empty.
+        seconds: limit of the processor time, s; 0 for none.
 
     Raises:
         TwinError: a twin, a record or a recording cannot be used, or a record is stale.
@@ -51,7 +56,11 @@ def budget_of_file(
     # Shapes are needed only for simulating motion; their files may be missing.
     shapes = bool(twin.budget.recordings)
     realization = load(first.file, twin=twin, name=first.name, shapes=shapes)
-    document = budget(twin, realization, progress or (lambda done: None))
+    with limited(seconds) as limit:
+        document = budget(twin, realization, progress or (lambda done: None))
+    document["not_tried"] = limit.not_tried
+    if note := limit.note():
+        document["notes"].insert(0, note)
     document["basis"] = result_basis(realization, "budget", Path(folder or twin.root))
     return document
 
@@ -65,7 +74,13 @@ def budget(
     superseded = {name for entry in twin.calibrations for name in entry.supersedes}
     superseded |= {name for fit in twin.fits for name in fit.supersedes}
     lines = _lines(twin, realization, task, superseded, notes, progress)
-    unmodelled = unmodelled_errors(task, lines, twin, superseded)
+    limit = current_limit()
+    unmodelled = [
+        error
+        for error in unmodelled_errors(task, lines, twin, superseded)
+        # Of a record that was not tried, it is not known what its estimates explain.
+        if _work(error["kind"], error["id"]) not in limit.not_tried
+    ]
     linear = total_of([line.linear for line in lines if line.linear is not None])
     drawn = total_of([line.drawn for line in lines if line.drawn is not None])
     goldens = _goldens(twin, notes)
@@ -73,7 +88,7 @@ def budget(
     return {
         "schema": 1,
         "twin": twin.name,
-        **assess(drawn, unmodelled, spec),
+        **assess(drawn, unmodelled, spec, is_complete=not limit.not_tried),
         "output": {
             "frame": task.frame,
             "frame_source": task.frame_source,
@@ -110,7 +125,7 @@ def _lines(
     count = max(1, len(twin.calibrations) + len(twin.fits))
     # Newest records come first; quantities that they measured are not taken from earlier ones.
     for done, entry in enumerate(reversed(twin.calibrations), 1):
-        if entry.record.id in superseded:
+        if entry.record.id in superseded or skips(_work("calibration", entry.record.id)):
             continue
         cause = read_calibration_unknowns(entry, task, twin.path, taken)
         taken |= claims(entry.record)
@@ -122,7 +137,7 @@ def _lines(
             found.append(line)
         progress(done / count)
     for done, fit in enumerate(twin.fits, 1 + len(twin.calibrations)):
-        if fit.record.id not in superseded:
+        if fit.record.id not in superseded and not skips(_work("identification", fit.record.id)):
             line = identification_line(
                 identified_parameters(fit, task, realization), task, realization
             )
@@ -130,6 +145,11 @@ def _lines(
                 found.append(line)
         progress(done / count)
     return sorted(found, key=lambda one: -(0.0 if one.drawn is None else one.drawn.position))
+
+
+def _work(kind: str, ident: str) -> str:
+    """Name of the work for one record, for the reader."""
+    return f"{kind} {ident!r}"
 
 
 def _share(spread: Spread | None, twin: Twin) -> dict[str, float | None]:

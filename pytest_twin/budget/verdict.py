@@ -16,7 +16,11 @@ _MILLI = {"position": "mm", "rotation": "mrad"}
 
 
 def assess(
-    total: Spread | None, unmodelled: Sequence[Mapping[str, Any]], spec: BudgetSpec
+    total: Spread | None,
+    unmodelled: Sequence[Mapping[str, Any]],
+    spec: BudgetSpec,
+    *,
+    is_complete: bool = True,
 ) -> dict[str, Any]:
     """Return the verdict of a budget, with the bound of each quantity against its tolerance.
 
@@ -31,6 +35,8 @@ def assess(
         total: displacement by all lines; None if no record affects the frame.
         unmodelled: held-out errors of the records.
         spec: tolerance of the task.
+        is_complete: whether every record was tried. Otherwise more errors can only exceed the
+            tolerance.
     """
     bounds = {
         quantity: _bound(
@@ -38,6 +44,7 @@ def assess(
             None if total is None else getattr(total, f"worst_{quantity}"),
             [entry for entry in unmodelled if entry[quantity] is not None],
             getattr(spec, quantity),
+            is_complete,
         )
         for quantity in QUANTITIES
     }
@@ -80,6 +87,7 @@ def _bound(
     estimated: float | None,
     held_out: Sequence[Mapping[str, Any]],
     tolerance: float | None,
+    is_complete: bool,
 ) -> dict[str, Any]:
     largest = max(held_out, key=lambda entry: entry[quantity]["beyond"], default=None)
     beyond = None if largest is None else float(largest[quantity]["beyond"])
@@ -90,6 +98,8 @@ def _bound(
         state, why = UNKNOWN, f"budget: tolerance: of twin.yaml states no {quantity}"
     elif rms is not None and rms > tolerance:
         state, why = EXCEEDED, "the root mean square error is above the tolerance"
+    elif not is_complete:
+        state, why = UNKNOWN, "not every record was tried before the command ended"
     elif beyond is None:
         state = UNKNOWN
         why = f"no record has a held-out {quantity} error, so unmodelled errors are not known"

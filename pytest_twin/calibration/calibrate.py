@@ -56,12 +56,11 @@ from pytest_twin.calibration.solver_comparison import (
 )
 from pytest_twin.calibration.split import split
 from pytest_twin.calibration.starts import camera_unit, is_subset, starts
-from pytest_twin.calibration.time_limit import TimeLimit, is_over, limited
 from pytest_twin.calibration.wrong_scale import FreeScale, wrong_scale
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.temporary import temporary_folder
-from pytest_twin.interrupts import stopped_by_parent
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
+from pytest_twin.time_limit import is_over, limited
 
 GROSS_RATIO = 6.0
 """A held-out observation is excluded only if its error exceeds that of the best third of the
@@ -96,7 +95,7 @@ def calibrate_file(
 ) -> dict[str, Any]:
     """Return the content of ``calibration.json`` for the plan in a file.
 
-    An interrupt ends the calibration early; the best values so far are returned.
+    At the time limit and at a stop request of the parent, the best values so far are returned.
 
     Args:
         plan: path of the plan.
@@ -112,14 +111,13 @@ def calibrate_file(
     told = progress or (lambda fraction: None)
     found = load_plan(Path(plan))
     record_in = Path(record_folder or found.path.parent)
-    limit = TimeLimit(seconds)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(limited(limit))
-        stack.enter_context(stopped_by_parent(limit.stop))
+        limit = stack.enter_context(limited(seconds))
         place = folder or stack.enter_context(temporary_folder())
         document = _calibrate_plan(found, Path(place), told)
     if limit.reason:
-        document["reasons"] = [limit.reason, *document["reasons"]]
+        note = limit.note("These are the best values so far, and not all checks were made")
+        document["reasons"] = [note, *document["reasons"]]
         if document["verdict"] == "accepted":
             document["verdict"] = "rejected"
     document["basis"] = calibration_basis(found, document["inputs"], record_in)

@@ -13,7 +13,7 @@ from scipy.stats import chi2, halfnorm
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.problem import CalibrationProblem
-from pytest_twin.calibration.time_limit import is_over
+from pytest_twin.time_limit import is_over
 
 STUDENT_DEGREES = 4.0
 """Degrees of freedom of the Student distribution for the weights of the robust iterations. With 4,

@@ -20,8 +20,8 @@ from pytest_twin.calibration.problem import CalibrationProblem, predicted_poses
 from pytest_twin.calibration.solve import LEAST_INLIERS
 from pytest_twin.calibration.solvers.algebraic import HAND_EYE, ROBOT_WORLD, solver_of_poses
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
-from pytest_twin.calibration.time_limit import is_over
 from pytest_twin.errors import SpecError
+from pytest_twin.time_limit import is_over
 
 HandEyeSolver = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Function from (n, 4, 4) ``flange`` and ``seen`` to (4, 4) ``mounted`` and ``world``, m."""

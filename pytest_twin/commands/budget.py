@@ -11,6 +11,7 @@ from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.release_folder import TWIN_HELP, twin_file
 from pytest_twin.commands.terminal import show
+from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.formats import atomic, results
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import budget
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help=f"folder for {JSON_NAME} and {PAGE_NAME}",
     )
+    add_seconds(parser, 0.0, "the lines so far are written, and the others are unknown")
     model_files.add_arguments(parser)
 
 
@@ -46,22 +48,28 @@ def run(args: argparse.Namespace) -> int:
     """
     twin = twin_file(args.twin)
     out: Path = args.out
-    with (
-        results.result_folder(out, JSON_NAME) as staging,
-        Sandbox() as sandbox,
-        Progress("propagating") as progress,
-    ):
-        document = sandbox.call(
-            "pytest_twin.budget.budget_of_twin:budget_of_file",
-            {"path": str(twin.absolute()), "folder": str(out.absolute())},
-            progress=progress,
-        )
-        atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")
-        atomic.write_text(staging / PAGE_NAME, budget.render(document))
-    json_output.give(args, document)
-    show("\n".join(printable(line) for line in _words(document)))
-    show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")
-    return 0
+    progress = Progress("propagating")
+    with progress.stopping_early("the lines so far are written") as stop:
+        with (
+            results.result_folder(out, JSON_NAME) as staging,
+            Sandbox(seconds=wall_limit(args.seconds), stop=stop) as sandbox,
+            progress,
+        ):
+            document = sandbox.call(
+                "pytest_twin.budget.budget_of_twin:budget_of_file",
+                {
+                    "path": str(twin.absolute()),
+                    "folder": str(out.absolute()),
+                    "seconds": args.seconds,
+                },
+                progress=progress,
+            )
+            atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")
+            atomic.write_text(staging / PAGE_NAME, budget.render(document))
+        json_output.give(args, document)
+        show("\n".join(printable(line) for line in _words(document)))
+        show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")
+        return 0
 
 
 def _words(document: dict[str, Any]) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,10 @@ from typing import Any
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
+from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
+from pytest_twin.interrupts import StopRequest
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import calibration
 from pytest_twin.words import counted
@@ -41,8 +42,6 @@ EXPORTS = (
 
 SECONDS = 300.0
 """Default limit of the processor time, s. A hundred images of two megapixels take a tenth of it."""
-_MOST_SECONDS = 24 * 3600.0
-"""Largest limit, s, and the time after which a calibration without limit is ended."""
 
 _READABLE = {
     "rad": (1e3, "mrad"),
@@ -71,15 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help=f"folder for {FILE_NAME} and, if it is accepted, {', '.join(EXPORTS)}",
     )
-    parser.add_argument(
-        "--seconds",
-        metavar="N",
-        type=_seconds,
-        default=SECONDS,
-        help="limit of the processor time, after which the best values so far are written and not "
-        f"accepted (default: {SECONDS:g}; 0: no limit); Ctrl-C and SIGTERM end it in the "
-        "same way",
-    )
+    add_seconds(parser, SECONDS, "the best values so far are written and not accepted")
     model_files.add_arguments(parser)
 
 
@@ -90,15 +81,21 @@ def run(args: argparse.Namespace) -> int:
         TwinError: the input cannot be used.
     """
     out: Path = args.out
-    with Progress("calibrating") as progress:
-        document = calibrate_into(out, args.plan, args.seconds, progress)
-    json_output.give(args, document)
-    show(_words(document, out / FILE_NAME))
+    progress = Progress("calibrating")
+    with progress.stopping_early("the best values so far are written") as stop:
+        with progress:
+            document = calibrate_into(out, args.plan, args.seconds, stop, progress)
+        json_output.give(args, document)
+        show(_words(document, out / FILE_NAME))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
 
 
 def calibrate_into(
-    out: Path, plan: Path, seconds: float, progress: Progress | None = None
+    out: Path,
+    plan: Path,
+    seconds: float,
+    stop: StopRequest | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Calibrate in a child process, write the folder atomically, and return the document.
 
@@ -106,18 +103,17 @@ def calibrate_into(
         out: a new folder, or that of an earlier calibration.
         plan: the plan's file.
         seconds: limit of the processor time, s; 0 for none.
-        progress: shows the progress; if given, Ctrl-C ends the calibration early.
+        stop: request that ends the calibration early.
+        progress: shows the progress.
 
     Raises:
         TwinError: the input cannot be used.
     """
     if not plan.is_file():
         raise PathError("no such file", path=plan, expected="a calibration plan (.yaml)")
-    written = "the best values so far are written"
     with (
         results.result_folder(out, FILE_NAME) as staging,
-        Sandbox(seconds=_MOST_SECONDS) as sandbox,
-        contextlib.nullcontext() if progress is None else progress.stopping_early(sandbox, written),
+        Sandbox(seconds=wall_limit(seconds), stop=stop) as sandbox,
     ):
         document = sandbox.call(
             "pytest_twin.calibration.calibrate:calibrate_file",
@@ -139,19 +135,6 @@ def calibrate_into(
             atomic.write_text(staging / name, results.as_placed(content, staging))
     placed: dict[str, Any] = json.loads(results.as_placed(text, staging))
     return placed
-
-
-def _seconds(text: str) -> float:
-    """Parse a time in s, 0 or more."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = -1.0
-    if not 0.0 <= seconds <= _MOST_SECONDS:
-        raise argparse.ArgumentTypeError(
-            f"got {text!r}, expected a time in s, 0 to {_MOST_SECONDS:g} (0: no limit)"
-        )
-    return seconds
 
 
 def _words(document: dict[str, Any], path: Path) -> str:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +17,14 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.terminal import show
+from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
+from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
+from pytest_twin.processor_time import call_began
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
@@ -39,10 +40,8 @@ EXIT_STATUS = {
     1: "a residual remains that no known effect explains",
 }
 EXPLAINED, LEFT_OVER = 0, 1
-SECONDS = 120.0
-"""Default time of a diagnosis, s."""
-# Limit of a diagnosis without a time limit, s.
-_SECONDS = 4 * 3600.0
+SECONDS = 240.0
+"""Default limit of the processor time of a diagnosis, s."""
 # Fractions reported by diagnosis.diagnose and gate.diagnosis_folder at the start of each stage.
 _STAGES = (
     (0.0, "reading the recordings"),
@@ -77,14 +76,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"folder for {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
         "the files of an earlier diagnosis are replaced",
     )
-    parser.add_argument(
-        "--seconds",
-        metavar="N",
-        type=_seconds,
-        help="time limit, after which the best result so far is written with a list of the "
-        f"searches that were not done (default: {SECONDS:g}, without time in which other programs "
-        "use the processors; 0: no limit); Ctrl-C and SIGTERM end a diagnosis in the same way",
-    )
+    add_seconds(
+        parser, SECONDS,
+        "the best result so far is written with a list of the searches that were not done; with "
+        "--fleet, each robot has an equal share, and by default its own limit",
+    )  # fmt: skip
+    # A fleet tells a given limit of all robots from the default one of each.
+    parser.set_defaults(seconds=None)
     parser.add_argument(
         "--fleet",
         metavar="FILE.yaml",
@@ -115,13 +113,10 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: the input cannot be used.
     """
-    seconds = SECONDS if args.seconds is None else args.seconds
     arguments = {
         "topics": args.topics,
         "options": recording_options(args),
-        "seconds": seconds,
-        "own_time": args.seconds is None,
-        "answer_first": args.fleet is None and (seconds > 0.0 or sys.stderr.isatty()),
+        "seconds": SECONDS if args.seconds is None else args.seconds,
     }
     if args.fleet is not None:
         if args.model is not None:
@@ -143,22 +138,26 @@ def run(args: argparse.Namespace) -> int:
             "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml too"
         )
     out: Path = args.out.absolute()
-    with Progress("diagnosing", _STAGES) as progress:
-        summary = diagnose_into(
-            out, args.model, args.recordings, args.held_out, arguments, progress
-        )
-    json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
-    show("\n".join(printable(text) for text in summary["words"]))
-    show(f"report: {args.out / REPORT_FILE}")
+    progress = Progress("diagnosing", _STAGES)
+    with progress.stopping_early("the best result so far is written") as stop:
+        with progress:
+            summary = diagnose_into(
+                out, args.model, args.recordings, args.held_out, arguments, stop, progress
+            )
+        json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
+        show("\n".join(printable(text) for text in summary["words"]))
+        show(f"report: {args.out / REPORT_FILE}")
     return EXPLAINED if summary["verdict"] in ("no_mismatch", "explained") else LEFT_OVER
 
 
+# Files, options and the two ways to its parent are independent of each other.
 def diagnose_into(
     out: Path,
     model: Path,
     recordings: Sequence[Path],
     held_out: Sequence[Path],
     arguments: Mapping[str, Any],
+    stop: StopRequest | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Diagnose in a child process, write the folder atomically, and return the child's summary.
@@ -167,19 +166,18 @@ def diagnose_into(
         out: absolute path of a new or empty folder, or of an earlier diagnosis.
         model, recordings, held_out: files and folders, as on the command line.
         arguments: further fields of :class:`DiagnosisRequest`.
-        progress: shows the progress; if given, Ctrl-C ends the search early.
+        stop: request that ends the search early.
+        progress: shows the progress.
 
     Raises:
         TwinError: the input cannot be used.
     """
     found = find_model(model)
-    written = "the best result so far is written"
     with (
         results.result_folder(out, DIAGNOSIS_FILE, alone=True) as staging,
         # The simulator writes its log to the working folder, so use one that is deleted.
         temporary_folder() as scratch,
-        Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox,
-        contextlib.nullcontext() if progress is None else progress.stopping_early(sandbox, written),
+        Sandbox(seconds=wall_limit(arguments["seconds"]), cwd=scratch, stop=stop) as sandbox,
     ):
         summary: dict[str, Any] = sandbox.call(
             "pytest_twin.commands.diagnose:diagnose_files",
@@ -210,9 +208,7 @@ class DiagnosisRequest:
         folder: folder that it becomes; itself if empty.
         topics: role -> topic, overrides the twin's topics.
         options: options for reading recordings, override the twin's options.
-        seconds: time limit of the search, s; 0 for no limit.
-        own_time: whether ``seconds`` is the command's default, not the user's choice.
-        answer_first: whether a quick diagnosis of one recording comes first.
+        seconds: limit of the processor time, s; 0 for no limit.
         threads: number of simulation threads, 0 for all cores.
     """
 
@@ -223,8 +219,6 @@ class DiagnosisRequest:
     topics: Mapping[str, str]
     options: Mapping[str, Any]
     seconds: float = 0.0
-    own_time: bool = False
-    answer_first: bool = False
     threads: int = 0
     folder: str = ""
 
@@ -236,7 +230,7 @@ def diagnose_files(
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
 
-    An interrupt ends the search early; the best result so far is written.
+    At the time limit and at a stop request of the parent, the best result so far is written.
 
     Args:
         request: fields of :class:`DiagnosisRequest`.
@@ -262,6 +256,7 @@ def diagnose_files(
     from pytest_twin.trial.command_field import refuse_unfit_modes
 
     asked = DiagnosisRequest(**request)
+    budget = Budget(asked.seconds, begin=call_began())
     options = RecordingOptions.from_json(asked.options)
     loaded = load_model(Path(asked.model), options.base)
     trials = read_trials(
@@ -275,23 +270,21 @@ def diagnose_files(
         refuse_unfit_modes(loaded.realization.structure, trial)
     if loaded.patched is None:
         refuse_other_order(loaded.realization, trials.fit)
-    seconds = asked.seconds
-    budget = Budget(seconds, own_time=asked.own_time)
 
     def say_state(step: Step) -> None:
         best = ", ".join(step.best) or "no effect yet"
-        left = f"; at most {budget.left:.0f} s left" if seconds else ""
+        left = f"; at most {budget.left:.0f} processor seconds left" if budget.seconds else ""
         tell("state", f"{step.stage}; best so far: {best}{left}")
 
     run = Run(budget, Trace(say_state))
-    if asked.answer_first:
-        share = (1.0 - RESERVED_SHARE) * seconds
-        bound = min(FIRST_SECONDS, share) if seconds else FIRST_SECONDS
+    bound = min(FIRST_SECONDS, (1.0 - RESERVED_SHARE) * budget.left)
+    seen = None
+    if bound > 0.0:
         with suppress_mujoco_warnings():
             seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
-        words = f"none within {bound:g} s" if seen is None else quick_diagnosis_in_words(seen)
-        tell("line", f"first answer, from one recording: {words}")
-        run.first_answer = () if seen is None else seen.likely_effects
+    run.first_answer = () if seen is None else seen.likely_effects
+    words = "none in time" if seen is None else quick_diagnosis_in_words(seen)
+    tell("line", f"first answer, from one recording: {words}")
     summary = write_diagnosis(
         Path(asked.out),
         loaded.realization,
@@ -307,19 +300,6 @@ def diagnose_files(
     twin = loaded.realization.twin
     stale = () if twin is None else stale_lines(states_of_records(twin), twin)
     return {**summary, "words": [*chosen, *stale, *summary["words"]]}
-
-
-def _seconds(text: str) -> float:
-    """Parse a time in s, 0 or more."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = -1.0
-    if not 0.0 <= seconds < _SECONDS:
-        raise argparse.ArgumentTypeError(
-            f"got {text!r}, expected a time in s, 0 to {_SECONDS:g} (0: as long as it takes)"
-        )
-    return seconds
 
 
 __all__ = ["HELP", "add_arguments", "diagnose_files", "run"]

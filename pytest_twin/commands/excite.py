@@ -10,6 +10,7 @@ from typing import Any
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
+from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.formats import atomic, results
 from pytest_twin.loaded_model import find_model
 from pytest_twin.realization.sandbox import Sandbox
@@ -28,8 +29,6 @@ EXIT_STATUS = {
 }
 IDENTIFIABLE, NOT_IDENTIFIABLE = 0, 1
 FILE_NAME, ABORT_NAME, PAGE_NAME = "excitation.json", "abort.json", "excitation.html"
-_SECONDS = 3600.0
-"""Time limit of the design, s: an arm of seven joints takes about two minutes."""
 _MOST_LINES = 12
 """Largest number of unidentifiable parameters that are printed."""
 
@@ -53,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", metavar="N", type=_seed, default=1, help="seed of all random choices (default: 1)"
     )
+    add_seconds(parser, 0.0, "the safe motions so far are written, and the other designs are named")
     model_files.add_arguments(parser)
 
 
@@ -64,26 +64,29 @@ def run(args: argparse.Namespace) -> int:
     """
     model = str(find_model(args.model))
     out: Path = args.out
-    with (
-        results.result_folder(out, FILE_NAME) as staging,
-        Sandbox(seconds=_SECONDS) as sandbox,
-        Progress("designing motions") as progress,
-    ):
-        blank = sandbox.call("pytest_twin.excitation.excite:missing_template", {"model": model})
-        if blank["template"]:
-            show(blank["template"])
-        found = sandbox.call(
-            "pytest_twin.excitation.excite:excite_file",
-            {"model": model, "out": str(staging), "seed": args.seed},
-            progress=progress,
-        )
-        document, abort = found["document"], found["abort"]
-        atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
-        atomic.write_text(staging / ABORT_NAME, json.dumps(abort, indent=2) + "\n")
-        atomic.write_text(staging / PAGE_NAME, excitation.render(document, abort, found["drawn"]))
-    json_output.give(args, document)
-    show("\n".join(printable(line) for line in _words(document, out)))
-    return IDENTIFIABLE if document["verdict"] == "identifiable" else NOT_IDENTIFIABLE
+    progress = Progress("designing motions")
+    with progress.stopping_early("the safe motions so far are written") as stop:
+        with (
+            results.result_folder(out, FILE_NAME) as staging,
+            Sandbox(seconds=wall_limit(args.seconds), stop=stop) as sandbox,
+            progress,
+        ):
+            blank = sandbox.call("pytest_twin.excitation.excite:missing_template", {"model": model})
+            if blank["template"]:
+                show(blank["template"])
+            found = sandbox.call(
+                "pytest_twin.excitation.excite:excite_file",
+                {"model": model, "out": str(staging), "seed": args.seed, "seconds": args.seconds},
+                progress=progress,
+            )
+            document, abort = found["document"], found["abort"]
+            atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
+            atomic.write_text(staging / ABORT_NAME, json.dumps(abort, indent=2) + "\n")
+            page = excitation.render(document, abort, found["drawn"])
+            atomic.write_text(staging / PAGE_NAME, page)
+        json_output.give(args, document)
+        show("\n".join(printable(line) for line in _words(document, out)))
+        return IDENTIFIABLE if document["verdict"] == "identifiable" else NOT_IDENTIFIABLE
 
 
 def _seed(word: str) -> int:
@@ -122,6 +125,8 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
     lines += [f"! not identifiable: {one}" for one in open_[:_MOST_LINES]]
     if len(open_) > _MOST_LINES:
         lines.append(f"! {len(open_) - _MOST_LINES} more are in {FILE_NAME}")
+    if document["ended_early"]:
+        lines.append(f"note: {document['ended_early']}")
     lines += [f"note: {document['closed_loop']}", f"note: {document['notice']}"]
     lines.append(f"report: {out / PAGE_NAME}")
     return lines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from pytest_twin.formats import atomic, results, yaml
 from pytest_twin.formats.declared_inputs import DeclaredInputs, declared_inputs, declaring
 from pytest_twin.formats.file_names import portable_name
 from pytest_twin.gate.failure_diagnosis import REPORT_FILE
+from pytest_twin.interrupts import StopRequest, stop_on_interrupt
 from pytest_twin.realization.executor import Dask, Executor, Forks
 from pytest_twin.realization.forks import usable_cores
 from pytest_twin.report.text import printable
@@ -50,15 +52,18 @@ class Outcome:
 
     Attributes:
         name: name of the robot.
-        verdict: verdict of its diagnosis; None if its input cannot be used.
-        error: the message in that case.
+        verdict: verdict of its diagnosis; None if its input cannot be used, or if it was not
+            tried.
+        error: the reason in that case.
         seconds: wall time, s.
+        is_tried: whether its diagnosis began before the fleet was stopped.
     """
 
     name: str
     verdict: str | None
     error: str = ""
     seconds: float = 0.0
+    is_tried: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +75,14 @@ class Options:
         threads: cores of each diagnosis, 0 for all.
         arguments: fields of ``DiagnosisRequest`` other than files.
         declared: folders that the command line declares.
+        stop: request that ends the running diagnoses early; the others do not begin.
     """
 
     out: Path
     threads: int = 0
     arguments: Mapping[str, Any] = field(default_factory=dict)
     declared: DeclaredInputs = field(default_factory=DeclaredInputs)
+    stop: StopRequest | None = None
 
 
 def read_fleet(path: Path) -> list[Robot]:
@@ -126,6 +133,8 @@ def diagnose_robot(robot: Robot, options: Options) -> Outcome:
     """Diagnose one robot into its folder; unusable input gives an outcome instead of an error."""
     from pytest_twin.commands.diagnose import diagnose_into
 
+    if options.stop is not None and options.stop.is_sent:
+        return Outcome(robot.name, None, "the fleet was stopped before its turn", is_tried=False)
     since = time.perf_counter()
     try:
         with declaring(options.declared):
@@ -135,6 +144,7 @@ def diagnose_robot(robot: Robot, options: Options) -> Outcome:
                 robot.recordings,
                 robot.held_out,
                 {**options.arguments, "threads": options.threads},
+                options.stop,
             )
     except TwinError as error:
         return Outcome(robot.name, None, str(error), time.perf_counter() - since)
@@ -155,7 +165,8 @@ def diagnose_fleet(robots: Sequence[Robot], options: Options, executor: Executor
 def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
     """Diagnose a fleet; return the exit status.
 
-    It is 0 if no residual is unexplained, 1 if one is, 2 if an input cannot be used.
+    It is 0 if no residual is unexplained, 1 if one is or a robot was not tried, 2 if an input
+    cannot be used.
 
     Args:
         args: parsed arguments of ``diagnose``.
@@ -173,12 +184,40 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
         for r in read_fleet(args.fleet)
     ]  # fmt: skip
     jobs = min(args.jobs or usable_cores(), len(robots))
-    executor: Executor = Forks(jobs) if args.scheduler is None else Dask(args.scheduler)
     threads = max(1, usable_cores() // jobs) if args.scheduler is None else 1
+    if args.seconds is not None:
+        arguments = {**arguments, "seconds": args.seconds / len(robots)}
     # It describes the robots' folders, which are replaced one by one.
     results.withdraw(out, FLEET_FILE)
-    outcomes = diagnose_fleet(robots, Options(out, threads, arguments, declared_inputs()), executor)
-    said = {
+    with stop_on_interrupt(_tell) as stop:
+        executor: Executor = Forks(jobs) if args.scheduler is None else Dask(args.scheduler, stop)
+        options = Options(out, threads, arguments, declared_inputs(), stop)
+        outcomes = diagnose_fleet(robots, options, executor)
+        document = _document(outcomes)
+        with results.result_folder(out, FLEET_FILE) as staging:
+            atomic.write_text(staging / FLEET_FILE, json.dumps(document, indent=2) + "\n")
+        json_output.give(args, document)
+        width = max(len(o.name) for o in outcomes)
+        for o in outcomes:
+            words = o.verdict or f"not diagnosed: {o.error}"
+            show(printable(f"{o.name:<{width}}  {words}"))
+        show(f"reports: {args.out}/NAME/{REPORT_FILE}")
+    if any(o.verdict is None and o.is_tried for o in outcomes):
+        return 2
+    return int(any(o.verdict in ("improved", "unexplained", None) for o in outcomes))
+
+
+def _tell() -> None:
+    print(
+        "stopping: the robots that have begun are written with their best result so far; "
+        "Ctrl-C again aborts",
+        file=sys.stderr, flush=True,
+    )  # fmt: skip
+
+
+def _document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return the content of ``fleet.json``."""
+    return {
         "schema": 1,
         "robots": {
             o.name: {
@@ -188,15 +227,5 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
             }
             for o in outcomes
         },
+        "not_tried": [o.name for o in outcomes if not o.is_tried],
     }
-    with results.result_folder(out, FLEET_FILE) as staging:
-        atomic.write_text(staging / FLEET_FILE, json.dumps(said, indent=2) + "\n")
-    json_output.give(args, said)
-    width = max(len(o.name) for o in outcomes)
-    for o in outcomes:
-        words = o.verdict or f"not diagnosed: {o.error}"
-        show(printable(f"{o.name:<{width}}  {words}"))
-    show(f"reports: {args.out}/NAME/{REPORT_FILE}")
-    if any(o.verdict is None for o in outcomes):
-        return 2
-    return int(any(o.verdict in ("improved", "unexplained") for o in outcomes))

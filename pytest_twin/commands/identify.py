@@ -16,8 +16,10 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.terminal import show
+from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.temporary import temporary_folder
+from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import identification
@@ -35,8 +37,6 @@ EXIT_STATUS = {
 }
 ACCEPTED, NOT_ACCEPTED = 0, 1
 FILE_NAME, PAGE_NAME = "identification.json", "identification.html"
-_SECONDS = 4 * 3600.0
-"""Time limit of an identification, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,6 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--id",
         metavar="ID",
         help="id of the record, for fit: of twin.yaml and for goldens (default: the name of DIR)",
+    )
+    add_seconds(
+        parser, 0.0, "the stages so far are written, and the others are listed as not tried"
     )
     _add_toss_arguments(parser)
     add_recording_arguments(parser)
@@ -143,6 +146,7 @@ def run(args: argparse.Namespace) -> int:
         TwinError: the input cannot be used.
     """
     arguments = {
+        "seconds": args.seconds,
         "topics": args.topics,
         "options": recording_options(args),
         "sensors": args.sensor,
@@ -157,21 +161,25 @@ def run(args: argparse.Namespace) -> int:
     out: Path = args.out.absolute()
     if args.id:
         arguments["name"] = args.id
-    with Progress("identifying") as progress:
-        document = identify_into(
-            out, args.model, args.recordings, args.held_out, arguments, progress
-        )
-    json_output.give(args, document)
-    show("\n".join(printable(line) for line in _words(document, args.out)))
+    progress = Progress("identifying")
+    with progress.stopping_early("the stages so far are written") as stop:
+        with progress:
+            document = identify_into(
+                out, args.model, args.recordings, args.held_out, arguments, stop, progress
+            )
+        json_output.give(args, document)
+        show("\n".join(printable(line) for line in _words(document, args.out)))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
 
 
+# Files, options and the two ways to its parent are independent of each other.
 def identify_into(
     out: Path,
     model: Path,
     recordings: Sequence[Path],
     held_out: Sequence[Path],
     arguments: Mapping[str, Any],
+    stop: StopRequest | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Identify in a child process, write the folder atomically, and return the document.
@@ -180,6 +188,7 @@ def identify_into(
         out: absolute path of a new or empty folder, or of an earlier identification.
         model, recordings, held_out: files and folders, as on the command line.
         arguments: further fields of ``IdentificationRequest``.
+        stop: request that ends the identification early.
         progress: shows the progress.
 
     Raises:
@@ -191,7 +200,8 @@ def identify_into(
         # The simulator writes its log to the working folder, so use one that is deleted.
         temporary_folder() as scratch,
     ):
-        with Sandbox(seconds=_SECONDS, cwd=scratch) as sandbox:
+        limit = wall_limit(arguments.get("seconds", 0.0))
+        with Sandbox(seconds=limit, cwd=scratch, stop=stop) as sandbox:
             document: dict[str, Any] = sandbox.call(
                 "pytest_twin.identification.identify_files:identify_files",
                 {

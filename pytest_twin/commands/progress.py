@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from pytest_twin.interrupts import first_interrupt
+from pytest_twin.interrupts import StopRequest, stop_on_interrupt
 from pytest_twin.report.progress_log import ProgressLog
 from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
-
-    from pytest_twin.realization.sandbox import Sandbox
 
 _LOOK_SECONDS = 1.0
 """Time between two updates."""
@@ -94,21 +92,15 @@ class Progress:
         else:
             print(printable(text), file=sys.stderr, flush=True)
 
-    @contextlib.contextmanager
-    def stopping_early(self, sandbox: Sandbox, written: str) -> Iterator[None]:
-        """Context in which the first interrupt ends the work of a child process early.
+    def stopping_early(self, written: str) -> AbstractContextManager[StopRequest]:
+        """Context in which the first interrupt ends the work of child processes early.
 
         Args:
-            sandbox: the child process, whose function handles the interrupt.
             written: what is written then.
         """
-
-        def stop() -> None:
-            sandbox.interrupt()
-            self.tell("line", f"stopping: {written}; Ctrl-C again aborts")
-
-        with first_interrupt(stop):
-            yield
+        return stop_on_interrupt(
+            lambda: self.tell("line", f"stopping: {written}; Ctrl-C again aborts")
+        )
 
     def _stage(self) -> str:
         stage = next((name for start, name in reversed(self._stages) if self._done >= start), "")

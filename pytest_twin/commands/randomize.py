@@ -16,6 +16,7 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.release_folder import TWIN_HELP, twin_file
 from pytest_twin.commands.terminal import show
+from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.formats import atomic, results
 from pytest_twin.ranges.files import write_files
 from pytest_twin.realization.sandbox import Sandbox
@@ -33,8 +34,6 @@ EXIT_STATUS = {
     1: "the envelope contains a smaller share or is too wide, or there are no final recordings",
 }
 JSON_NAME, PAGE_NAME = "ranges.json", "ranges.html"
-SECONDS = 3600.0
-"""Time limit of the computation."""
 _FEWEST_ROBOTS = 32
 """As for ``ranges: draws:`` of ``twin.yaml``."""
 
@@ -87,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help=f"folder for {JSON_NAME}, {PAGE_NAME}, a sampler and configurations of simulators",
     )
+    add_seconds(parser, 0.0, "the ranges are written with the robots that were simulated")
     add_recording_arguments(parser)
     model_files.add_arguments(parser)
 
@@ -122,35 +122,38 @@ def run(args: argparse.Namespace) -> int:
     """
     twin = twin_file(args.twin)
     out: Path = args.out
-    with (
-        results.result_folder(out, JSON_NAME) as staging,
-        Sandbox(seconds=SECONDS) as sandbox,
-        Progress("simulating") as progress,
-    ):
-        document = sandbox.call(
-            "pytest_twin.ranges.ranges_of_twin:ranges_of_file",
-            {
-                "path": str(twin.absolute()),
-                "request": {
-                    "final": [str(path.absolute()) for path in args.final],
-                    "held_out": [str(path.absolute()) for path in args.held_out],
-                    "draws": args.draws,
-                    "folder": str(out.absolute()),
-                    "share": args.share,
-                    "options": recording_options(args),
-                    "topics": args.topics,
-                    "against": None if args.against is None else str(args.against.absolute()),
+    progress = Progress("simulating")
+    with progress.stopping_early("the ranges so far are written") as stop:
+        with (
+            results.result_folder(out, JSON_NAME) as staging,
+            Sandbox(seconds=wall_limit(args.seconds), stop=stop) as sandbox,
+            progress,
+        ):
+            document = sandbox.call(
+                "pytest_twin.ranges.ranges_of_twin:ranges_of_file",
+                {
+                    "path": str(twin.absolute()),
+                    "request": {
+                        "final": [str(path.absolute()) for path in args.final],
+                        "held_out": [str(path.absolute()) for path in args.held_out],
+                        "draws": args.draws,
+                        "seconds": args.seconds,
+                        "folder": str(out.absolute()),
+                        "share": args.share,
+                        "options": recording_options(args),
+                        "topics": args.topics,
+                        "against": None if args.against is None else str(args.against.absolute()),
+                    },
                 },
-            },
-            progress=progress,
-        )
-        atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")
-        atomic.write_text(staging / PAGE_NAME, ranges.render(document))
-        write_files(staging)
-    json_output.give(args, document)
-    show("\n".join(printable(line) for line in _words(document)))
-    show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")
-    return 0 if document["verdict"] == "useful" else 1
+                progress=progress,
+            )
+            atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")
+            atomic.write_text(staging / PAGE_NAME, ranges.render(document))
+            write_files(staging)
+        json_output.give(args, document)
+        show("\n".join(printable(line) for line in _words(document)))
+        show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")
+        return 0 if document["verdict"] == "useful" else 1
 
 
 def _words(document: dict[str, Any]) -> list[str]:

@@ -13,6 +13,7 @@ from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP
 from pytest_twin.commands.release_folder import RELEASE_HELP, release_folder
 from pytest_twin.commands.terminal import show
+from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
@@ -32,8 +33,6 @@ EXIT_STATUS = {
     1: "the candidate is rejected; each reason is listed",
 }
 BETTER, REJECTED = 0, 1
-_SECONDS = 3600.0
-"""Time limit of the comparison."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="if the candidate is better, write the record that a release requires into its "
         "folder: shadow/ID.json",
     )
+    add_seconds(parser, 0.0, "the comparison so far is shown, and the candidate is rejected")
     model_files.add_arguments(parser)
 
 
@@ -87,40 +87,43 @@ def run(args: argparse.Namespace) -> int:
     folder = release_folder(args.release)
     release = read_authentic_now(folder)
     root = folder.absolute().parent.parent
-    with (
-        temporary_folder() as scratch,
-        Sandbox(seconds=_SECONDS) as sandbox,
-        Progress("simulating"),
-    ):
-        document = sandbox.call(
-            "pytest_twin.adaptation.shadow:shadow",
-            {
-                "released": str(copy_release(release, folder, root, Path(scratch).resolve())),
-                "candidate": str(file.absolute()),
-                "recordings": [str(path.absolute()) for path in args.recordings],
-            },
-        )
-    document = {
-        "schema": 1,
-        "twin": release.twin,
-        "release": release.number,
-        "release_sha256": release.sha256,
-        "candidate": str(file),
-        "id": None if spec is None else spec.id,
-        "digest": _digest(candidate),
-        "recordings": [path.name for path in args.recordings],
-        **document,
-    }
-    json_output.give(args, document)
-    lines = _words(document)
-    if args.promote and spec is not None and document["verdict"] == "better":
-        record = candidate.shadow_record(spec.id)
-        atomic.make_folder(record.parent)
-        atomic.write_text(record, json.dumps(document, indent=2) + "\n")
-        lines.append(f"promoted: {record}")
-        lines.append("next: pytest --twin-release")
-    show("\n".join(printable(line) for line in lines))
-    return BETTER if document["verdict"] == "better" else REJECTED
+    progress = Progress("simulating")
+    with progress.stopping_early("the comparison so far is shown") as stop:
+        with (
+            temporary_folder() as scratch,
+            Sandbox(seconds=wall_limit(args.seconds), stop=stop) as sandbox,
+            progress,
+        ):
+            document = sandbox.call(
+                "pytest_twin.adaptation.shadow:shadow",
+                {
+                    "released": str(copy_release(release, folder, root, Path(scratch).resolve())),
+                    "candidate": str(file.absolute()),
+                    "recordings": [str(path.absolute()) for path in args.recordings],
+                    "seconds": args.seconds,
+                },
+            )
+        document = {
+            "schema": 1,
+            "twin": release.twin,
+            "release": release.number,
+            "release_sha256": release.sha256,
+            "candidate": str(file),
+            "id": None if spec is None else spec.id,
+            "digest": _digest(candidate),
+            "recordings": [path.name for path in args.recordings],
+            **document,
+        }
+        json_output.give(args, document)
+        lines = _words(document)
+        if args.promote and spec is not None and document["verdict"] == "better":
+            record = candidate.shadow_record(spec.id)
+            atomic.make_folder(record.parent)
+            atomic.write_text(record, json.dumps(document, indent=2) + "\n")
+            lines.append(f"promoted: {record}")
+            lines.append("next: pytest --twin-release")
+        show("\n".join(printable(line) for line in lines))
+        return BETTER if document["verdict"] == "better" else REJECTED
 
 
 def _digest(candidate: Twin) -> str | None:

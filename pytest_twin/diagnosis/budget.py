@@ -6,12 +6,12 @@ one simulation of all recordings. Unlike seconds, this number is the same on eve
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.estimation.deadline import CHECK, OutOfTime, no_limit
+from pytest_twin.interrupts import is_stop_requested
 from pytest_twin.processor_time import processor_seconds
 
 RESERVED_SHARE, FINAL_SHARE = 0.2, 0.1
@@ -23,8 +23,6 @@ COMPARISON_SHARE = 0.25
 of effects. A finding without its alternatives is of little use: with one joint, a command delay and
 a sensor delay predict the same. The comparison takes a quarter of the time of a complete
 diagnosis."""
-MAX_WALL_RATIO = 5.0
-"""Largest ratio of wall-clock time to the time limit, if other programs use the processors."""
 MAX_SIMULATIONS = 1200
 """Largest number of simulations of all data for all searches of a diagnosis: four times the limit
 of one search. A case with one joint needs 170 to 830."""
@@ -34,27 +32,25 @@ class Budget:
     """Time and simulations of one diagnosis.
 
     Args:
-        seconds: wall-clock limit of the whole diagnosis from now on; 0 for no limit.
+        seconds: limit of the processor time of the whole diagnosis, s; 0 for no limit.
         simulations: limit of simulations of all data, for all searches together.
-        clock: function that returns a monotonic time in s.
-        own_time: whether time in which other programs use the processors is not counted, up to
-            ``MAX_WALL_RATIO`` times ``seconds``.
+        clock: function that returns the processor time so far, s.
+        begin: reading of the clock from which the limit counts; the present one by default.
     """
 
     def __init__(
         self,
         seconds: float = 0.0,
         simulations: float = MAX_SIMULATIONS,
-        clock: Callable[[], float] = time.monotonic,
-        own_time: bool = False,
+        clock: Callable[[], float] = processor_seconds,
+        begin: float | None = None,
     ) -> None:
         self.seconds = seconds
-        self.own_time = own_time
         self.simulations = simulations
-        self.stopped = False
+        self._is_stopped = False
         self.problems: list[Problem] = []
         self._clock = clock
-        self._start, self._start_computing = clock(), processor_seconds()
+        self._start = clock() if begin is None else begin
         self._uncounted = 0.0
         self._kept_share = 0.0
         self._limit = simulations
@@ -66,17 +62,17 @@ class Budget:
 
     def stop(self) -> None:
         """End the search at the next simulation, as if its time were over."""
-        self.stopped = True
+        self._is_stopped = True
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the search was stopped here or by the parent process."""
+        return self._is_stopped or is_stop_requested()
 
     @property
     def elapsed(self) -> float:
-        """Time since the start, s."""
-        wall = self._clock() - self._start
-        if not self.own_time:
-            return wall
-        # A search computes all the time, so wall time without computing went to other programs.
-        computing = processor_seconds() - self._start_computing
-        return max(min(wall, computing), wall / MAX_WALL_RATIO)
+        """Processor time since the start, s."""
+        return self._clock() - self._start
 
     @property
     def left(self) -> float:

@@ -27,7 +27,7 @@ from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 
 FIRST_SECONDS = 10.0
-"""Time limit of a first answer, s."""
+"""Limit of the processor time of a first answer, s."""
 
 
 def first_answer(
@@ -39,12 +39,12 @@ def first_answer(
         realization: the nominal model.
         trials: recordings to choose from, without test recordings.
         patched: effects of an earlier diagnosis in addition to the model.
-        seconds: time limit, s.
+        seconds: limit of the processor time, s.
 
     Returns:
         The quick diagnosis; None if time runs out or the model cannot be simulated.
     """
-    budget = Budget(seconds / (1.0 - RESERVED_SHARE), own_time=True)
+    budget = Budget(seconds / (1.0 - RESERVED_SHARE))
     try:
         with budget.searching(), np.errstate(over="ignore", invalid="ignore"):
             return quick_diagnosis(realization, _worst_trial(realization, trials), patched)

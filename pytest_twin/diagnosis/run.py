@@ -138,7 +138,8 @@ def describe_skipped_searches(run: Run) -> list[str]:
     if budget.stopped:
         why, more = "it was stopped", "Without the interruption"
     elif budget.was_short_of_time:
-        why, more = f"its {budget.seconds:g} s were over", "With more time (--seconds)"
+        why = f"its {budget.seconds:g} processor seconds were over"
+        more = "With more time (--seconds)"
     else:
         why = f"its {budget.simulations:g} simulations of all data were used"
         more = "With more recordings or a smaller model"

@@ -16,6 +16,7 @@ from pytest_twin.excitation.fourier import REST, Series, free_time, series
 from pytest_twin.excitation.motion import JointStates, Path
 from pytest_twin.identification.regressor.base_parameters import BaseParameters
 from pytest_twin.identification.regressor.regressor import Regressor
+from pytest_twin.time_limit import is_over
 
 STARTS = 3
 """Number of random starts of the optimization."""
@@ -106,8 +107,10 @@ class Design:
     def optimum(self, seed: int, starts: int = STARTS) -> Optimum:
         """Return the best result of several starts, using exact derivatives of the information."""
         random = np.random.default_rng(seed)
-        found = []
+        found: list[tuple[float, FloatArray]] = []
         for _ in range(starts):
+            if found and is_over():
+                break
             first = random.standard_normal((len(self._up), self.series.width + 1))
             first[:, -1] = 2.0
             free = self._minimized(first, _ITERATIONS, near=False)
@@ -123,6 +126,7 @@ class Design:
         solved = scipy.optimize.minimize(
             partial(self._objective, near=near), first.ravel(),
             jac=True, method="L-BFGS-B", options={"maxiter": iterations, "ftol": _TOLERANCE},
+            callback=_end_at_limit,
         )  # fmt: skip
         return np.asarray(solved.x).reshape(first.shape)
 
@@ -277,6 +281,13 @@ class Design:
                 change = (self._spare(moved, _SPARE) - spares[at]) / _POSE_DIFFERENCE
                 by[at, joint] = -2.0 * _SPARE_WEIGHT * short[at] / _SPARE * change
         return float(_SPARE_WEIGHT * (short**2).sum()), by
+
+
+def _end_at_limit(intermediate_result: scipy.optimize.OptimizeResult) -> None:
+    """End a minimization with its last result when the run must end."""
+    del intermediate_result
+    if is_over():
+        raise StopIteration
 
 
 def _limit_shares(

@@ -35,6 +35,7 @@ from pytest_twin.realization.loading import load
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.record_inputs import with_stale_records
 from pytest_twin.recording_options import CommandMode
+from pytest_twin.time_limit import limited
 from pytest_twin.twin import Twin, load_twin
 
 FOLDER = "trajectories"
@@ -85,8 +86,16 @@ def excite_file(
     out: str,
     seed: int,
     progress: Callable[[float], None] = lambda fraction: None,
+    seconds: float = 0.0,
 ) -> dict[str, Any]:
     """Design, check, write; runs in the child process.
+
+    Args:
+        model: ``twin.yaml``.
+        out: folder for the motions.
+        seed: seed of all random choices.
+        progress: called with the fraction done.
+        seconds: limit of the processor time, s; 0 for none.
 
     Returns:
         ``document`` and ``abort``, the content of ``excitation.json`` and ``abort.json``, and
@@ -96,7 +105,11 @@ def excite_file(
     realization, twin = _load(path)
     if twin is None:
         raise missing_error(path, missing_lines({}, movable_joints(realization)), None)
-    return write_motions(excite(realization, twin, seed, progress), path, Path(out))
+    with limited(seconds) as limit:
+        written = write_motions(excite(realization, twin, seed, progress), path, Path(out))
+    written["document"]["not_tried"] = limit.not_tried
+    written["document"]["ended_early"] = limit.note()
+    return written
 
 
 def write_motions(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from pytest_twin.excitation.closed_loop import WORSE, ClosedLoop, Response
 from pytest_twin.excitation.motion import Design, Motion
 from pytest_twin.excitation.safety import Verdict, check_commands, check_simulation, reasons
 from pytest_twin.realization.model import Realization
+from pytest_twin.time_limit import is_over, skips
 
 _FIRST_SCALES = (1.0, 0.9, 0.75, 0.6)
 """Scales of the amplitude that are tried with each seed."""
@@ -75,6 +76,8 @@ def find_safe(
 ) -> tuple[list[SafeMotion], list[RejectedDesign]]:
     """Find the largest safe motion of each design, or the reason why there is none.
 
+    At the time limit no more motions are tried; those that were found are kept.
+
     Args:
         robots: payload -> the robot with it.
         progress: called with the fraction done.
@@ -91,6 +94,9 @@ def find_safe(
     while open_:
         tried: dict[int, tuple[Motion, Verdict]] = {}
         for at in open_:
+            if skips(designs[at].name):
+                broken.setdefault(at, (0, ("not tried: the command ended early",)))
+                continue
             scale, seed = attempts[at][round_]
             motion = designs[at].motion(scale, seed)
             verdict = check_commands(motion, approved, robots[motion.payload].around)
@@ -104,7 +110,10 @@ def find_safe(
             else:
                 broken[at] = (round_ + 1, tuple(reasons([one.verdict])))
         round_ += 1
-        open_ = [at for at in open_ if at not in safe and round_ < len(attempts[at])]
+        open_ = [
+            at for at in open_
+            if at not in safe and round_ < len(attempts[at]) and not is_over()
+        ]  # fmt: skip
         progress(1.0 - len(open_) / total)
     refused = [
         RejectedDesign(design, *broken[at]) for at, design in enumerate(designs) if at not in safe

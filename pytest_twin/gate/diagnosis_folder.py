@@ -19,7 +19,6 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats import atomic
 from pytest_twin.gate.diagnosis_view import view_of
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
-from pytest_twin.interrupts import stopped_by_parent
 from pytest_twin.realization import Realization
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.realization.record_inputs import basis_json, unfitted
@@ -60,8 +59,7 @@ def write_diagnosis(  # noqa: PLR0913
     """
     inherited = read_patched_model(realization)
     run = run or Run()
-    # The first interrupt of the parent ends the search, and the best result so far is written.
-    with stopped_by_parent(run.budget.stop), suppress_mujoco_warnings():
+    with suppress_mujoco_warnings():
         found = diagnose(
             realization, trials,
             inherited=inherited, threads=threads, run=run, progress=progress,

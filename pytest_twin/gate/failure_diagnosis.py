@@ -18,7 +18,7 @@ from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.gate import Gate, Progress
 from pytest_twin.golden import Golden
-from pytest_twin.interrupts import first_interrupt
+from pytest_twin.interrupts import stop_on_interrupt
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.text import printable
 
@@ -127,8 +127,10 @@ def _write_diagnosis(
         results.result_folder(folder, DIAGNOSIS_FILE) as staging,
         # A separate process, because MuJoCo writes its log into the working directory.
         temporary_folder() as scratch,
-        Sandbox(seconds=_SECONDS, cwd=scratch, untrusted=gate.runner.untrusted) as sandbox,
-        first_interrupt(sandbox.interrupt),
+        stop_on_interrupt() as stop,
+        Sandbox(
+            seconds=_SECONDS, cwd=scratch, untrusted=gate.runner.untrusted, stop=stop
+        ) as sandbox,
     ):
         said = sandbox.call(
             "pytest_twin.gate.worker:diagnose",

@@ -26,6 +26,7 @@ from pytest_twin.metrics.joint_frequency import effort_response
 from pytest_twin.metrics.residual import residual
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.time_limit import skips
 from pytest_twin.trial import Trial, make_trials, recordings_at
 
 _EXCLUDES = "nothing is fitted here: all accepted parameters together are simulated"
@@ -113,7 +114,7 @@ def close_loop(
                 "servo gains from effort and tracking error are not kept, because they do not "
                 f"lower the simulated position error: {words}"
             )
-    if recordings is not None:
+    if recordings is not None and not skips("effects of drives, by simulation"):
         base = plain
         if recordings.known:
             aside = _new_folder(folder, "known_servos")

@@ -48,6 +48,8 @@ _FOLLOWS = 0.01
 """Systematic difference from the law of a servo, relative to the effort's deviation, up to which an
 effort follows it. It is 0 to 0.1 % for a servo, and 1.6 % or more with a dead zone of 2 % of the
 largest effort."""
+_STAGES = 2
+"""Number of stages of a complete fit: the drives, and all parameters together."""
 _DIGITS = 1e-5
 """Relative accuracy of numbers in an MJCF file."""
 
@@ -166,7 +168,8 @@ def fit_drives(
             ),
         )  # fmt: skip
         problem = found.prepared.problem
-        if not found.hypothesis.terms or impossible(problem, found.hypothesis):
+        is_complete = len(found.stages) == _STAGES
+        if not is_complete or not found.hypothesis.terms or impossible(problem, found.hypothesis):
             return None
         patched = write_realization(
             folder, fitted, problem, found.hypothesis, inherited,

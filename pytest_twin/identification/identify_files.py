@@ -26,17 +26,19 @@ from pytest_twin.identification.encoder_changes import encoder_changes
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.known_effects import notes_on_effects
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
-from pytest_twin.identification.records import effort_document
+from pytest_twin.identification.records import effort_document, nominal_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify_sensors import identify_sensors
 from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
+from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.record_inputs import basis_json, states_of_records, unfitted
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
 from pytest_twin.records.basis import Uses
 from pytest_twin.records.state import stale_lines
 from pytest_twin.replay_order import refuse_other_order
+from pytest_twin.time_limit import limited, skips
 from pytest_twin.twin import DEFAULT_TOPICS, Twin, load_twin
 
 REALIZATION = "realization"
@@ -51,6 +53,7 @@ class IdentificationRequest:
         recordings, held_out: files and folders.
         out: empty folder, in which ``realization/`` is written.
         folder: folder that the record will be in; ``out`` if empty.
+        seconds: limit of the processor time, s; 0 for none.
         name: id of the record.
         topics: role of a topic -> topic; these take precedence over those of the twin.
         options: settings for reading recordings; they take precedence over the twin's.
@@ -68,6 +71,7 @@ class IdentificationRequest:
     tosses: Mapping[str, Any] | None = None
     sensors: Sequence[Mapping[str, str]] = ()
     folder: str = ""
+    seconds: float = 0.0
 
 
 def identify_files(
@@ -75,6 +79,9 @@ def identify_files(
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Load the model, identify and write the fitted model, in the child process.
+
+    At the time limit and at a stop request of the parent, the stages so far are the result, which
+    is never accepted.
 
     Args:
         request: fields of :class:`IdentificationRequest`.
@@ -87,6 +94,19 @@ def identify_files(
         TwinError: the input cannot be used.
     """
     asked = IdentificationRequest(**request)
+    with limited(asked.seconds) as limit:
+        document = _identify_files(asked, progress)
+    document["not_tried"] = limit.not_tried
+    if limit.not_tried:
+        document["notes"].insert(0, limit.note())
+        if document["verdict"] == "accepted":
+            document["verdict"] = "improved"
+    return document
+
+
+def _identify_files(
+    asked: IdentificationRequest, progress: Callable[[float], None]
+) -> dict[str, Any]:
     model, out, name, topics = asked.model, asked.out, asked.name, asked.topics
     recordings, held_out, sensors = asked.recordings, asked.held_out, asked.sensors
     options = RecordingOptions.from_json(asked.options)
@@ -121,7 +141,10 @@ def identify_files(
     )  # fmt: skip
     folder = _new_folder(Path(out) / REALIZATION)
     progress(0.3)
-    if has_effort(measured):
+    if has_effort(measured) and skips("all stages"):
+        document = nominal_document("measured effort")
+        write_fitted(folder, realization, {}, {})
+    elif has_effort(measured):
         tried = trials_of(
             realization, _paths(measured.held_out) or _paths(measured.fit),
             {**stated, **topics}, chosen,

@@ -39,6 +39,34 @@ def verdict_of(stages: Sequence[Stage], better: bool, held_out: bool, consistent
     return "accepted" if held_out and "rejected" not in states else "improved"
 
 
+def nominal_document(way: str) -> dict[str, Any]:
+    """Return the content of ``identification.json`` of the nominal model, before any stage.
+
+    Args:
+        way: what is identified from.
+    """
+    return {
+        "schema": 1,
+        "verdict": "rejected",
+        "way": way,
+        "stages": [],
+        "parameters": {},
+        "covariance": {"names": [], "matrix": []},
+        "correlated": [],
+        "base_parameters": [],
+        "held_out": {},
+        "tested_on": "no recordings",
+        "physical": {"consistent": True, "violations": []},
+        "suspected": [],
+        "without_effort": [],
+        "unobservable": [],
+        "fit": {},
+        "trials": {"fit": [], "held_out": []},
+        "notes": [],
+        "software": {"pytest-twin": __version__},
+    }
+
+
 def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, Any]:
     """Return the content of ``identification.json`` for an identification from measured effort.
 

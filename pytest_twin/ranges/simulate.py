@@ -29,11 +29,12 @@ from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
+from pytest_twin.time_limit import skips
 from pytest_twin.trial import Trial
 from pytest_twin.words import counted
 
-ROWS = 256
-"""Largest number of robots in one batch. The data of more robots would not fit the cache."""
+ROWS = 64
+"""Largest number of robots in one batch. A time limit or a stop ends the simulation between two."""
 _BATCH_SHARE = 0.25
 """Fraction of the child process's memory for one batch."""
 _BATCH_ARRAYS = 12
@@ -127,6 +128,9 @@ class VariedRobots:
     ) -> list[Traces]:
         """Simulate every trial for every robot.
 
+        At the time limit, trials without a robot are left out, and robots that some of the others
+        lack.
+
         Args:
             trials: trials, of which only commands and initial states are used.
             draws: (robots, p) values of the coordinates.
@@ -136,14 +140,17 @@ class VariedRobots:
             LimitError: not even the fewest samples fit in memory.
         """
         counts = self.sample_counts(trials, len(draws))
-        found = []
+        found: list[Traces] = []
         for done, (trial, count) in enumerate(zip(trials, counts, strict=True)):
 
             def report(fraction: float, done: int = done) -> None:
                 progress((done + fraction) / len(trials))
 
+            if skips(f"the robots of {trial.name}"):
+                continue
             found.append(self._one(trial, draws, count, report))
-        return found
+        common = min((len(one.robots) for one in found), default=0)
+        return [replace(one, robots=one.robots[:common]) for one in found]
 
     def sample_counts(self, trials: Sequence[Trial], robots: int) -> list[int]:
         """Return the number of samples of each trial that are compared: as many as fit in memory.
@@ -193,6 +200,9 @@ class VariedRobots:
             for row, one in zip(rows, predicted, strict=True):
                 robots[row] = encoders.read_position(one.position[chosen] + shift[chosen])
             progress(rows.stop / len(draws))
+            if rows.stop < len(draws) and skips(f"more robots of {trial.name}"):
+                robots = robots[: rows.stop]
+                break
         self.seconds += time.perf_counter() - started
         measured = encoders.read_position(segment.position[chosen])
         kinds = self.realization.structure.joint_type

@@ -10,7 +10,7 @@ MEANING = {
     "be",
     "too_narrow": "the final recordings leave the predicted envelope",
     "too_wide": "the predicted envelope is wider than the final recordings need",
-    "not_checked": "not checked: there is no final recording",
+    "not_checked": "not checked by final recordings",
 }
 """Verdict -> its meaning."""
 
@@ -77,19 +77,19 @@ def _advice(document: Mapping[str, Any]) -> list[str]:
             "recordings, so the model lacks something; pytest-twin diagnose names it"
         )
     check = document["check"]
-    if check is None:
+    if check is None and not document["throughput"]:
         lines.append(
             "to do: record motions of the task that no fit or choice uses, with the role final, "
             "and name them with --final"
         )
-    elif document["verdict"] == "too_narrow":
+    elif check is not None and document["verdict"] == "too_narrow":
         where = ", ".join(check["outside"]) or "all joints together"
         lines.append(
             f"to do ({where}): where no held-out recording was given, name some with "
             "--held-out; otherwise the model lacks something that the final recordings show: run "
             "pytest-twin diagnose on other recordings of these motions, never on the final ones"
         )
-    elif document["verdict"] == "too_wide":
+    elif check is not None and document["verdict"] == "too_wide":
         where = ", ".join(check["too_wide"]) or "all joints together"
         lines.append(
             f"to do ({where}): identify again with motions that excite these joints (pytest-twin "

@@ -5,6 +5,7 @@ A search runs its batches, and a fleet its robots, with the same call.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,12 +13,15 @@ from functools import partial
 from typing import Any, Protocol, TypeVar
 
 from pytest_twin.errors import SimulationError, TwinError
+from pytest_twin.interrupts import StopRequest
 from pytest_twin.realization.forks import in_forks
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _RETRIES = 2
 """Number of times that Dask repeats a failed task."""
+_LOOK_SECONDS = 0.5
+"""Time between two looks at a stop request."""
 _CONNECT_SECONDS = 30.0
 """Time limit of the connection to the scheduler."""
 
@@ -63,9 +67,11 @@ class Dask:
 
     Attributes:
         address: address of the scheduler, ``tcp://host:8786``.
+        stop: request after which items that are not done run in this process.
     """
 
     address: str
+    stop: StopRequest | None = None
 
     def map(self, function: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
         """As :meth:`Executor.map`; function, items and results are sent with pickle.
@@ -93,8 +99,17 @@ class Dask:
             ) from None
         with client:
             futures = client.map(function, items, pure=False, retries=_RETRIES)
+            while self.stop is None or not self.stop.is_sent:
+                with contextlib.suppress(TimeoutError):
+                    dask.wait(futures, timeout=_LOOK_SECONDS)
+                    break
+            done = [future.done() for future in futures]
+            client.cancel([f for f, is_done in zip(futures, done, strict=True) if not is_done])
             try:
-                return list(client.gather(futures))
+                return [
+                    future.result() if is_done else function(item)
+                    for future, is_done, item in zip(futures, done, items, strict=True)
+                ]
             except dask.KilledWorker as error:
                 raise SimulationError(
                     "every Dask worker that ran this task ended",

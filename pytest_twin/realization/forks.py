@@ -15,6 +15,9 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import BinaryIO, Generic, TypeVar
 
+from pytest_twin import processor_time
+from pytest_twin.interrupts import deferred_interrupts, leave_interrupts_to_parent
+
 _Result = TypeVar("_Result")
 # A fork costs its parent about 10 ms, so that more processes do not shorten the run.
 _MAX_PROCESSES = 8
@@ -106,9 +109,12 @@ class _Fork(Generic[_Result]):
         read, write = os.pipe()
         self.answers: BinaryIO = os.fdopen(read, "rb")
         try:
-            self.process = os.fork()
-            if self.process == 0:
-                _run_in_fork(tasks, numbers, write)
+            with deferred_interrupts():
+                self.process = os.fork()
+                if self.process == 0:
+                    leave_interrupts_to_parent()
+                    _run_in_fork(tasks, numbers, write)
+            processor_time.watch(self.process)
         except OSError:
             self.answers.close()
             raise
@@ -140,6 +146,7 @@ def _reap_ended() -> None:
         with contextlib.suppress(ChildProcessError):
             if not os.waitpid(process, os.WNOHANG)[0]:
                 continue
+        processor_time.unwatch(process)
         _ended.discard(process)
 
 
@@ -149,12 +156,14 @@ def _run_in_fork(tasks: Sequence[Callable[[], object]], numbers: int, answers: i
     Each result is written at once, as far as the pipe has room. A fork that dies then loses only
     its last task, and no fork waits for its parent.
     """
+    parent = os.getppid()
     # The garbage collector must not finalize objects of the parent, such as its threads.
     gc.freeze()
     try:
         backlog = bytearray()
         os.set_blocking(answers, False)
-        while number := os.read(numbers, _NUMBER_BYTES):
+        # Signals that ended the parent do not end this process.
+        while os.getppid() == parent and (number := os.read(numbers, _NUMBER_BYTES)):
             i = int.from_bytes(number, "little")
             backlog += pickle.dumps((i, tasks[i]()), protocol=pickle.HIGHEST_PROTOCOL)
             with contextlib.suppress(BlockingIOError):

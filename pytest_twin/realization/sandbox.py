@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import selectors
 import signal
@@ -25,6 +26,7 @@ from pytest_twin import errors
 from pytest_twin.errors import LimitError, SimulationError, TwinError
 from pytest_twin.formats.declared_inputs import declared_inputs
 from pytest_twin.formats.temporary import temporary_folder
+from pytest_twin.interrupts import StopRequest, deferred_interrupts
 from pytest_twin.realization.confinement import confined_command, confined_environment
 from pytest_twin.realization.import_path import import_path
 
@@ -48,7 +50,8 @@ class Sandbox:
 
     Args:
         memory_bytes: limit of the child's address space, bytes.
-        seconds: limit of the wall time of one call, s; also the limit of its CPU time per core.
+        seconds: limit of the wall time of one call, s, also of its CPU time per core; infinite
+            for none.
         cwd: working directory of the child.
         confined_to: folders that the child may read in addition to those of Python; it may then
             write only its temporary folder and those in ``write``. None for a child with the
@@ -56,6 +59,7 @@ class Sandbox:
         write: further folders that a confined child may write.
         untrusted: folders from which the child imports no module, in addition to those that
             :func:`~pytest_twin.realization.import_path.import_path` leaves out.
+        stop: request that ends a function of the child early, if the function asks for it.
     """
 
     def __init__(
@@ -67,6 +71,7 @@ class Sandbox:
         confined_to: Collection[Path] | None = None,
         write: Collection[Path] = (),
         untrusted: Collection[Path] = (),
+        stop: StopRequest | None = None,
     ) -> None:
         self.memory_bytes = memory_bytes
         self.confined_to = confined_to
@@ -74,6 +79,7 @@ class Sandbox:
         self.untrusted = untrusted
         self.seconds = seconds
         self.cwd = cwd
+        self.stop = stop
         self._lock = threading.Lock()
         self._child: _Child | None = None
         self._output = b""
@@ -133,12 +139,6 @@ class Sandbox:
             raise _error_from_json(answer["error"])
         return answer["result"]
 
-    def interrupt(self) -> None:
-        """Send SIGINT to the child; a function that handles it ends early."""
-        if self._child is not None:
-            with contextlib.suppress(ProcessLookupError):
-                self._child.process.send_signal(signal.SIGINT)
-
     def close(self) -> None:
         """End the child."""
         with self._lock:
@@ -179,7 +179,8 @@ class Sandbox:
             selector.register(child.output, selectors.EVENT_READ)
             while True:
                 remaining = deadline - time.monotonic()
-                events = selector.select(remaining) if remaining > 0 else []
+                limit = None if math.isinf(remaining) else remaining
+                events = selector.select(limit) if remaining > 0 else []
                 if not events:
                     raise LimitError(
                         "exceeded its time limit and was killed",
@@ -270,24 +271,28 @@ class _Child:
             str(answer_write),
             str(sandbox.memory_bytes),
         ]
+        inherited = [request_read, answer_write]
+        if sandbox.stop is not None:
+            inherited.append(sandbox.stop.descriptor)
+            command.append(str(sandbox.stop.descriptor))
         scratch = contextlib.ExitStack()
         if sandbox.confined_to is not None:
             place = scratch.enter_context(temporary_folder())
             command = confined_command(command, imports, sandbox.confined_to, place, sandbox.write)
             environment = confined_environment(environment, place)
         try:
-            self.process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output_write,
-                stderr=output_write,
-                pass_fds=(request_read, answer_write),
-                cwd=cwd,
-                env=environment,
-                # A separate process group: a kill ends its children too, and Ctrl-C reaches only
-                # the parent.
-                start_new_session=True,
-            )
+            with deferred_interrupts():
+                self.process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output_write,
+                    stderr=output_write,
+                    pass_fds=inherited,
+                    cwd=cwd,
+                    env=environment,
+                    # A separate process group, so that a kill ends its children too.
+                    start_new_session=True,
+                )
         finally:
             for descriptor in (request_read, answer_write, output_write):
                 os.close(descriptor)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
+import math
 import os
 import resource
 import signal
@@ -15,7 +16,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO
 
-from pytest_twin import interrupts
+from pytest_twin import interrupts, processor_time
 from pytest_twin.errors import (
     DISK_ERRORS,
     LimitError,
@@ -26,10 +27,14 @@ from pytest_twin.errors import (
 from pytest_twin.formats.declared_inputs import DeclaredInputs, declaring
 
 
-def main(request_descriptor: int, answer_descriptor: int, memory_bytes: int) -> None:
+def main(
+    request_descriptor: int, answer_descriptor: int, memory_bytes: int, stop_descriptor: int = -1
+) -> None:
     """Answer calls until the parent closes the pipe."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    interrupts.defer_in_child()
+    interrupts.leave_interrupts_to_parent()
+    if stop_descriptor >= 0:
+        interrupts.receive_stop(stop_descriptor)
     _bound_memory(memory_bytes)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     os.set_inheritable(request_descriptor, False)
@@ -61,6 +66,7 @@ def _send(answers: BinaryIO, answer: Mapping[str, Any]) -> None:
 
 def _answer(request: Mapping[str, Any], answers: BinaryIO) -> dict[str, Any]:
     _bound_cpu(request["seconds"])
+    processor_time.begin_call()
     try:
         with declaring(DeclaredInputs.of(request["declared"])):
             result = _call(request["function"], request["arguments"], answers)
@@ -120,8 +126,11 @@ def _bound_cpu(seconds: float) -> None:
     """Set a limit of CPU time in the child, which applies even after the parent has ended."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     used = usage.ru_utime + usage.ru_stime
-    soft = int(used + seconds * (os.cpu_count() or 1) + 5)
     hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+    if math.isinf(seconds):
+        resource.setrlimit(resource.RLIMIT_CPU, (hard, hard))
+        return
+    soft = int(used + seconds * (os.cpu_count() or 1) + 5)
     resource.setrlimit(resource.RLIMIT_CPU, (_within_hard_limit(soft, resource.RLIMIT_CPU), hard))
 
 
@@ -157,4 +166,4 @@ def _error_to_json(error: TwinError) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main(*(int(argument) for argument in sys.argv[1:4]))
+    main(*(int(argument) for argument in sys.argv[1:5]))

@@ -61,7 +61,7 @@ def test_a_diagnosis_whose_time_is_over_lists_what_was_not_tried(
     assert cli.main(["diagnose", *words, "--seconds", "0.1", "--out", out]) in (0, 1)
     found = read_diagnosis(tmp_path)
     (note,) = [n for n in found["notes"] if n.startswith("the search ended early")]
-    assert "because its 0.1 s were over. Not tried: " in note
+    assert "because its 0.1 processor seconds were over. Not tried: " in note
     assert all(part in note for part in found["not_tried"])
     assert "With more time (--seconds) further effects could be found" in note
     shown = capsys.readouterr().out
@@ -79,7 +79,7 @@ def test_an_invalid_time_limit_is_refused(
     with pytest.raises(SystemExit) as refused_effects:
         cli.main(words)
     assert refused_effects.value.code == 2
-    assert f"got '{seconds}', expected a time in s, 0 to 14400" in capsys.readouterr().err
+    assert f"got '{seconds}', expected processor seconds, 0 to 604800" in capsys.readouterr().err
 
 
 def test_the_first_answer_names_the_effect_and_is_empty_without_time(tmp_path: Path) -> None:

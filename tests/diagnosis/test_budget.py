@@ -100,17 +100,6 @@ def test_a_time_limit_of_zero_is_no_limit() -> None:
     assert budget.left == np.inf
 
 
-def test_time_that_other_programs_use_is_not_counted_on_request() -> None:
-    """The wall-clock time is still at most five times the time limit."""
-    clock = Clock()
-    strict, lenient = (Budget(100.0, clock=clock, own_time=own) for own in (False, True))
-    clock.now += 200.0
-    assert strict.is_out_of_time
-    assert not lenient.is_out_of_time
-    clock.now += 300.0
-    assert lenient.is_out_of_time
-
-
 def test_all_searches_share_one_limit_of_simulations(
     with_friction: tuple[Realization, TrialSet],
 ) -> None:

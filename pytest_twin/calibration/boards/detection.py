@@ -16,9 +16,9 @@ from pytest_twin.calibration.boards.image_file import Grey, read_grey
 from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.boards.sharpness import blur_px, image_blur_px
 from pytest_twin.calibration.boards.target import Target
-from pytest_twin.calibration.time_limit import current_limit
 from pytest_twin.errors import LimitError, TwinError
 from pytest_twin.formats import limits
+from pytest_twin.time_limit import current_limit
 
 LEAST_SHARE = 0.4
 """Smallest fraction of the target's corners that must be detected. Fewer corners determine the tilt

@@ -29,7 +29,7 @@ from pytest_twin.calibration.cameras.normal_equations import (
 )
 from pytest_twin.calibration.cameras.reprojection import corners_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, Mount
-from pytest_twin.calibration.time_limit import is_over
+from pytest_twin.time_limit import is_over
 
 FEWEST_IMAGES_FOR_BOARD = 8
 """Smallest number of images for which the board's deviations from its drawing are estimated. With

@@ -14,8 +14,8 @@ from pytest_twin.calibration.cameras.bundle import Bundle, KnownNoise, bundle
 from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics
 from pytest_twin.calibration.cameras.normal_equations import Unknowns
 from pytest_twin.calibration.cameras.pose import target_pose
-from pytest_twin.calibration.time_limit import is_over
 from pytest_twin.errors import SpecError
+from pytest_twin.time_limit import is_over
 
 PINHOLE = ("fx", "fy", "cx", "cy")
 

@@ -19,8 +19,8 @@ from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.repeated_rows import without_repeats
 from pytest_twin.calibration.residual_errors import acceptance_failures
 from pytest_twin.calibration.split import split
-from pytest_twin.calibration.time_limit import is_over
 from pytest_twin.calibration.wrong_scale import FreeScale
+from pytest_twin.time_limit import is_over
 
 MOST_FOCAL_SPREAD = 0.02
 """Relative standard deviation of a focal length above which the views do not determine it. It

@@ -17,8 +17,8 @@ from pytest_twin.calibration.cameras.increments import (
 from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.solvers.algebraic import HandEye
-from pytest_twin.calibration.time_limit import is_over
 from pytest_twin.calibration.transform_derivatives import skew
+from pytest_twin.time_limit import is_over
 
 _STEPS = 40
 """Largest number of Gauss-Newton steps."""

@@ -36,6 +36,7 @@ from pytest_twin.identification.contact.uncertainty import (
     small_sample_factor,
     surface,
 )
+from pytest_twin.time_limit import skips
 
 SAMPLES = 12
 """Number of samples of a segment around a contact. At 148 Hz it lasts 75 ms: one impact and the
@@ -148,7 +149,9 @@ def fit_contact(
     stretches, groups = _draw_segments(around_contacts(fit, gravity, SAMPLES, contact.size), fit)
     loss = Loss(contact, stretches)
     found, rivals = _minima(contact, loss, groups, lambda f: progress(0.45 * f))
-    contact, spinning = _with_spinning(contact, found, stretches, groups)
+    spinning: tuple[str, ...] = ()
+    if not skips("torsional and rolling friction"):
+        contact, spinning = _with_spinning(contact, found, stretches, groups)
     if len(contact.parameters) > len(found):
         extra = [one.place(one.start) for one in contact.parameters[len(found) :]]
         loss = Loss(contact, stretches)
@@ -344,6 +347,8 @@ def _refine(
     contact: ContactModel, places: FloatArray, covariance: FloatArray, rows: Sequence[Stretch]
 ) -> tuple[FloatArray, FloatArray, bool]:
     """Refine the estimate on whole tosses; keep the result if it predicts significantly better."""
+    if skips("the refinement on whole tosses"):
+        return places, covariance, False
     some = np.random.default_rng(4).permutation(len(rows))[:_WHOLE]
     search = Loss(contact, [rows[at] for at in some])
     moved = minimize(search, places, 0.05, _GENERATIONS["whole"], 3)
@@ -384,6 +389,8 @@ def _variants(
     found = []
     changes = variants_of(contact.model)
     for done, (name, change) in enumerate(changes.items(), 1):
+        if skips(f"the fit with {name}"):
+            continue
         other = contact.with_options(change)
         moved = minimize(Loss(other, stretches), places, 0.08, _GENERATIONS["variant"], 6)
         own = {**values, **other.values(moved)}

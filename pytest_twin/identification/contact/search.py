@@ -18,7 +18,10 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.contact.loss import Stretch, errors_of, losses
 from pytest_twin.identification.contact.parameters import ContactModel
+from pytest_twin.time_limit import is_over
 
+_FEWEST_GENERATIONS = 3
+"""Generations of a search that ends at the time limit: the curvature at its result needs them."""
 STARTS = 3
 """Number of starts of the search over segments: the nominal values and points of a Sobol
 sequence."""
@@ -97,7 +100,7 @@ def minimize(
         {"bounds": [0.0, 1.0], "seed": seed, "verbose": -9, "popsize": 6 + 2 * count},
     )
     for generation in range(generations):
-        if strategy.stop():
+        if strategy.stop() or (generation >= _FEWEST_GENERATIONS and is_over()):
             break
         drawn = strategy.ask()
         strategy.tell(drawn, loss(drawn).mean(axis=1).tolist())

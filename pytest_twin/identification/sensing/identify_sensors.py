@@ -31,6 +31,7 @@ from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization
 from pytest_twin.sensors.imu import noise_of
+from pytest_twin.time_limit import skips
 from pytest_twin.trial.roles import FINAL, HELD_OUT, refuse_final
 
 _Trial = SensorTrial | CameraTrial
@@ -84,6 +85,8 @@ def identify_sensors(
     better = True
     names: dict[str, list[str]] = {"fit": [], "held_out": []}
     for done, sensor in enumerate(sensors, 1):
+        if skips(f"sensor {sensor.name}"):
+            continue
         fit, tested = _by_role(recordings, held_out, sensor, realization, state, notes)
         names = {
             "fit": [one.path.name for one in fit], "held_out": [one.path.name for one in tested],

@@ -20,6 +20,7 @@ from pytest_twin.diagnosis.search_result import build_problem, joint_errors, res
 from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
+from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel
 from pytest_twin.identification.simulation.equation_error import first_values
@@ -35,6 +36,7 @@ from pytest_twin.identification.simulation.staged_fit import StagedFit
 from pytest_twin.identification.simulation.undetermined_terms import undetermined_terms
 from pytest_twin.identification.stages import Stage, StageName, shares
 from pytest_twin.realization import Realization
+from pytest_twin.time_limit import skips
 
 _KNOWN = "known"
 """Command mode that no effect acts on, of a joint whose drive is not fitted."""
@@ -96,7 +98,7 @@ def identify_simulation(
     setup = ModelSetup.of(realization, inherited, threads)
     fit_alone = replace(trials, held_out=())
     with np.errstate(over="ignore", invalid="ignore"):
-        signals = determine_signals(setup, fit_alone)
+        signals = _determine_signals(setup, fit_alone)
         used = signals.apply(trials)
         prepared, used = build_problem(setup, used, notes)
         problem = prepared.problem
@@ -110,8 +112,10 @@ def identify_simulation(
         staged = StagedFit(setup, used, replace(prepared, problem=weighted), modes, first, plan)
         staged.run(progress)
         found, stage_of = staged.found, staged.stage_of
-        undetermined = undetermined_terms(weighted, found, modes, plan.order)
-        stages = [_as_the_model_says(one, undetermined) for one in staged.stages.values()]
+        stages, undetermined = list(staged.stages.values()), dict[Term, StageName]()
+        if not skips("which values of the model hold"):
+            undetermined = undetermined_terms(weighted, found, modes, plan.order)
+            stages = [_as_the_model_says(one, undetermined) for one in stages]
         slopes = with_derivatives(weighted, found)
         spread = parameter_uncertainty(weighted.at(found), slopes)
         stages = [_with_data(one, weighted, slopes, stage_of, used) for one in stages]
@@ -122,6 +126,16 @@ def identify_simulation(
         prepared, found, stage_of, spread, tuple(stages), undetermined, errors, signals, used,
         (*used.notes, *notes),
     )  # fmt: skip
+
+
+def _determine_signals(setup: ModelSetup, trials: TrialSet) -> RecordedSignals:
+    """Meaning of the recorded commands; as the model has them if the run must end."""
+    try:
+        with ending_at_limit():
+            return determine_signals(setup, trials)
+    except OutOfTime:
+        skips("what the commands and efforts of the recordings are")
+        return RecordedSignals()
 
 
 def _as_the_model_says(stage: Stage, undetermined: Mapping[Term, StageName]) -> Stage:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.identification.simulation.stage_effects import (
     ALL_STAGES,
@@ -33,6 +35,7 @@ from pytest_twin.identification.simulation.stage_fit import (
     with_derivatives,
 )
 from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage
+from pytest_twin.time_limit import skips
 
 _TOGETHER: StageName = "closed_loop"
 
@@ -64,21 +67,29 @@ class StagedFit:
     stages: dict[StageName, Stage] = field(default_factory=dict)
 
     def run(self, progress: Callable[[float], None]) -> None:
-        """Fit all stages; ``progress`` is called with the fraction done."""
+        """Fit all stages; ``progress`` is called with the fraction done.
+
+        At the time limit the stage that is fitted is left out, and so are later ones.
+        """
         several = len(self.plan.order) > 1
         # Each stage, all of them together, and each stage again.
         steps = len(self.plan.order) * (2 if several else 1) + 1
         for k, name in enumerate(self.plan.order):
-            self.stages[name], accepted = self._stage(name, self.found)
-            for term in accepted.terms:
-                self.found = self.found.with_term_of(accepted, term)
-                self.stage_of[term] = name
+            _attempt(f"stage {name}", partial(self._fit_stage, name))
             progress((k + 1) / steps)
-        self._fit_together()
+        _attempt(f"stage {_TOGETHER}", self._fit_together)
         done = len(self.plan.order) + 1
         progress(done / steps)
-        if several and self.found.terms and self._error(self.found) > VERDICT.identifiable:
+        if not several or not self.found.terms or _TOGETHER not in self.stages:
+            return
+        if self._error(self.found) > VERDICT.identifiable:
             self._fit_again(lambda stages: progress((done + stages) / steps))
+
+    def _fit_stage(self, name: StageName) -> None:
+        self.stages[name], accepted = self._stage(name, self.found)
+        for term in accepted.terms:
+            self.found = self.found.with_term_of(accepted, term)
+            self.stage_of[term] = name
 
     @property
     def _problem(self) -> Problem:
@@ -221,40 +232,58 @@ class StagedFit:
         and stay as they were if the held-out error does not fall. ``progress`` is called with the
         number of stages done.
         """
-        before = error = self._error(self.found)
+        before = self._error(self.found)
         for at, name in enumerate(self.plan.order):
             progress(at)
-            others = self.found.without(*(t for t in self.found.terms if self.stage_of[t] == name))
-            # Further effects stay as they are. Friction, gains and armature, which compensate for
-            # one another, are free again.
-            kept = [t for t in others.terms if t.effect in self._stage_of_further]
-            _, accepted = self._stage(name, others.without(*(set(others.terms) - set(kept))))
-            if not accepted.terms:
-                continue
-            proposed = others
-            for term in accepted.terms:
-                proposed = proposed.with_term_of(accepted, term)
-            merged = take_better_terms(
-                self._problem, self.found, fit_to_convergence(self._problem, proposed)
-            )
-            less = self._error(merged)
-            if less > (1.0 - LEAST_GAIN) * error:
-                continue
-            for term in merged.terms:
-                self.stage_of.setdefault(term, name)
-            self._reopen(name, "fitted again with what later stages had found", error, less)
-            self.found, error = merged, less
+            _attempt(f"stage {name}, with what later stages had found", partial(self._refit, name))
+        error = self._error(self.found)
         if error == before:
             return
         self.stage_of = {t: name for t, name in self.stage_of.items() if t in self.found.terms}
         for name in self.plan.order:
-            words = self._words(name, self.found)
-            self.stages[name] = replace(self.stages[name], parameters=words)
+            if name in self.stages:
+                words = self._words(name, self.found)
+                self.stages[name] = replace(self.stages[name], parameters=words)
         together = self.stages[_TOGETHER]
         assert together.held_out is not None
         held = HeldOut(together.held_out.before, error, "noise floors")
         words = self._words(_TOGETHER, self.found)
         self.stages[_TOGETHER] = judge_stage(replace(together, why="", parameters=words), held)
+
+    def _refit(self, name: StageName) -> None:
+        """Fit a stage again, and keep the result if the held-out error falls."""
+        error = self._error(self.found)
+        others = self.found.without(*(t for t in self.found.terms if self.stage_of[t] == name))
+        # Further effects stay as they are. Friction, gains and armature, which compensate for
+        # one another, are free again.
+        kept = [t for t in others.terms if t.effect in self._stage_of_further]
+        _, accepted = self._stage(name, others.without(*(set(others.terms) - set(kept))))
+        if not accepted.terms:
+            return
+        proposed = others
+        for term in accepted.terms:
+            proposed = proposed.with_term_of(accepted, term)
+        merged = take_better_terms(
+            self._problem, self.found, fit_to_convergence(self._problem, proposed)
+        )
+        less = self._error(merged)
+        if less > (1.0 - LEAST_GAIN) * error:
+            return
+        for term in merged.terms:
+            self.stage_of.setdefault(term, name)
+        self._reopen(name, "fitted again with what later stages had found", error, less)
+        self.found = merged
+
+
+def _attempt(what: str, work: Callable[[], None]) -> None:
+    """Do a piece of work unless the run must end before it is done; it is noted then."""
+    if skips(what):
+        return
+    try:
+        with ending_at_limit():
+            work()
+    except OutOfTime:
+        skips(what)
 
 
 def place_of(problem: Problem, term: Term) -> str:
