@@ -87,7 +87,7 @@ WAYS: dict[str, tuple[str, tuple[tuple[str, str], ...]]] = {
             ("widening", "wider where held-out error is larger"),
             ("simulate", "many robots under recorded commands"),
             ("check", "final recordings inside the envelope"),
-            ("run", "ranges.json"),
+            ("ranges_of_twin", "ranges.json"),
         ),
     ),
 }
