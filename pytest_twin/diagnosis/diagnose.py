@@ -168,6 +168,10 @@ def _names(trials: Sequence[Trial]) -> list[str]:
     return list(dict.fromkeys(t.path.name for t in trials))
 
 
+StructureSearch = Callable[..., ChosenModel]
+"""A search for effects, with the arguments of :func:`find_structure`."""
+
+
 def diagnose(
     realization: Realization,
     trials: TrialSet,
@@ -176,7 +180,7 @@ def diagnose(
     threads: int = 0,
     run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
-    find: Callable[..., ChosenModel] | None = None,
+    find: StructureSearch | None = None,
 ) -> Diagnosis:
     """Diagnose a model: locate errors, identify effects, fit them, and test them.
 

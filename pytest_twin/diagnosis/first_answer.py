@@ -70,7 +70,7 @@ def keep_first_answer(result: SearchResult, run: Run) -> SearchResult:
         best = incumbent = scorer.simulate_with_own_correction(result.explanation.hypothesis)
         effects: list[LikelyEffect] = []
         for effect in run.first_answer:
-            hypothesis = _hypothesis_of(problem, [*effects, effect])
+            hypothesis = hypothesis_of(problem, [*effects, effect])
             model = None if hypothesis is None else _refit(scorer, hypothesis, run)
             if model is not None and scorer.is_better(model, best):
                 best = model
@@ -112,7 +112,7 @@ def _refit(scorer: Scorer, start: Hypothesis, run: Run) -> SimulatedModel:
     return fitted if scorer.is_better(fitted, model) else model
 
 
-def _hypothesis_of(problem: Problem, effects: Sequence[LikelyEffect]) -> Hypothesis | None:
+def hypothesis_of(problem: Problem, effects: Sequence[LikelyEffect]) -> Hypothesis | None:
     """Effects of a quick diagnosis in a problem; None if it lacks one of their joints."""
     hypothesis = EMPTY
     for applied in (applied for effect in effects for applied in effect.fitted):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +14,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import CandidateSensitivities, ResidualView
 from pytest_twin.diagnosis.first_order.bins import Bins
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
-from pytest_twin.diagnosis.one_search.physics import View
+from pytest_twin.diagnosis.one_search.physics import Physics, View
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import fit
@@ -125,6 +125,9 @@ class LinearPhysics:
 
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         return self.refused(hypothesis)
+
+    def other_settings(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+        return iter(())
 
 
 def _sensitivity(term: Term, response: FloatArray) -> Sensitivity:

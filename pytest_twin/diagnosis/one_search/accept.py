@@ -72,7 +72,9 @@ def _is_worthwhile(
 ) -> bool:
     """Whether more effects gain enough of what all effects explain, in all signals or in one."""
     floor = comparison.floor**2
-    levels = [np.log(np.maximum(m.mean_square, floor)) for m in (new, old, nominal)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        each = [np.mean(m.predicted**2, axis=0) for m in (new, old, nominal)]
+    levels = [np.log(np.maximum(np.nan_to_num(x, nan=np.inf), floor)) for x in each]
     best, before, whole = (0.5 * comparison.independent * level for level in levels)
     added, explained = before - best, np.where(np.isfinite(whole), whole - best, 0.0)
     worth = np.maximum(settings.share * explained, settings.earns)

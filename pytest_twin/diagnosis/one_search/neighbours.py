@@ -196,10 +196,16 @@ def _exchanges(
                 yield rest.with_terms(structure.starts)
 
 
-def confused(physics: Physics, own: Hypothesis) -> list[Hypothesis]:
+def confused(physics: Physics, own: Hypothesis, *, carried: bool = False) -> list[Hypothesis]:
     """The incumbent with one effect exchanged for each that the catalogue confuses with it.
 
     Parameters with the same name and quantity keep their scaled values.
+
+    Args:
+        physics: the robot and its recordings.
+        own: effects of the incumbent.
+        carried: whether only effects with such a parameter are exchanged. Their prediction may be
+            the same, which the linearization shows for small effects only.
     """
     out = []
     for term in own.terms:
@@ -211,7 +217,8 @@ def confused(physics: Physics, own: Hypothesis) -> list[Hypothesis]:
         for new in physics.candidates:
             listed = new.effect in term.law.confused_with or term.effect in new.law.confused_with
             same_place = term.joint < 0 or new.joint < 0 or new.joint == term.joint
-            if not listed or not same_place or new in own.terms:
+            shared = known.keys() & {(p.name, p.quantity) for p in new.parameters}
+            if not listed or not same_place or new in own.terms or (carried and not shared):
                 continue
             for start in _start_of_each_form(new):
                 for k, p in enumerate(new.parameters):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +18,10 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 )
 from pytest_twin.diagnosis.first_order.bins import Bins, bins
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization, starts_in_first_form
+from pytest_twin.diagnosis.friction_constraint import has_dry_friction
+from pytest_twin.diagnosis.integrator_detection import SUBSTEPS
+from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.prepare import NOISE, PreparedProblem, discretization_rms
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused_effects
@@ -36,10 +40,15 @@ from pytest_twin.diagnosis.search.simplification import (
     special_cases,
     split_terms,
 )
+from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel, fit
+
+_SMALLEST_NOISE = 1e-9
+"""Smallest noise of a position, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,16 +147,39 @@ class Physics(Protocol):
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         """Effects with impossible totals or outside the recorded range, and the reason of each."""
 
+    def other_settings(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+        """The same robot and samples with each other setting of the simulation that is open."""
+
 
 class SimulatedPhysics:
     """The physics of an estimation problem, by simulation.
 
-    Args:
-        problem: all its segments are fitted.
+    Attributes:
+        setup: the model with its simulation settings.
+        prepared: the problem; all its segments are fitted.
+        trials: its recordings.
+        problem: the problem with the noise by which all settings are compared.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
+    def __init__(
+        self,
+        setup: ModelSetup,
+        prepared: PreparedProblem,
+        trials: TrialSet,
+        noise_of: Problem | None = None,
+    ) -> None:
+        self.setup, self.prepared, self.trials = setup, prepared, trials
+        self.problem = problem = (
+            prepared.problem
+            if noise_of is None
+            else replace(
+                prepared.problem,
+                floor=noise_of.floor,
+                effort_floor=noise_of.effort_floor,
+                position_weights=noise_of.position_weights,
+                effort_weights=noise_of.effort_weights,
+            )
+        )
         self.candidates: Sequence[Term] = tuple(candidates(problem))
         self.recorded = RecordedRange.of(problem)
 
@@ -282,3 +314,28 @@ class SimulatedPhysics:
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         """As :meth:`Physics.refusals`."""
         return refused_effects(self.problem, hypothesis, self.recorded)
+
+    def other_settings(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+        """As :meth:`Physics.other_settings`.
+
+        The friction constraint is open where there is dry friction, and the time step of a
+        simulation that made the recordings where its discretization error is above the noise.
+        """
+        setup = self.setup
+        if has_dry_friction(self.problem, hypothesis):
+            yield from self._with(replace(setup, has_friction_creep=not setup.has_friction_creep))
+        noise = np.maximum(self.prepared.floor_parts[NOISE], _SMALLEST_NOISE)
+        steps = discretization_rms(self.problem.at(hypothesis))
+        is_visible = bool((steps > VERDICT.identifiable * noise).any())
+        if setup.is_of_robot or not (is_visible or setup.substeps):
+            return
+        for substeps in {0, *SUBSTEPS} - {setup.substeps}:
+            yield from self._with(replace(setup, substeps=substeps))
+
+    def _with(self, setup: ModelSetup) -> Iterator[SimulatedPhysics]:
+        """The physics with other settings; none if the nominal model then diverges."""
+        prepared, trials = build_problem(
+            setup, self.trials, [], window=self.prepared.window, scales=self.problem.scales
+        )
+        if self.problem.lengths(self.problem.fit) == prepared.problem.lengths(prepared.problem.fit):
+            yield SimulatedPhysics(setup, prepared, trials, noise_of=self.problem)

@@ -97,6 +97,24 @@ def posterior(
     return out
 
 
+def best_named(found: SearchResult, inexpressible: Callable[[Hypothesis], int]) -> Hypothesis:
+    """The incumbent, or a set with the same prediction that plain MJCF expresses further.
+
+    Args:
+        found: the search.
+        inexpressible: number of effects of a set that MJCF cannot express.
+    """
+    incumbent = found.incumbent
+    alike = [
+        rival.hypothesis
+        for rival in found.pool.rivals_of(incumbent)
+        if rival.is_simulated and rival.size == incumbent.size
+        and rival.difference is not None and rival.difference <= SAME_PREDICTION
+    ]  # fmt: skip
+    # The incumbent comes first among sets that are expressed equally far.
+    return min([incumbent.hypothesis, *alike], key=inexpressible)
+
+
 def _log_odds_of(found: SearchResult) -> Callable[[PooledModel], float]:
     """Function that returns the log odds of a rival against the incumbent."""
     incumbent = found.incumbent

@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.one_search.model import Model, Pool
 from pytest_twin.diagnosis.one_search.neighbours import (
     Neighbour,
     Quota,
+    confused,
     neighbours,
     proposed_starts,
 )
@@ -29,6 +30,8 @@ from pytest_twin.estimation.comparison import Comparison
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 
+_FITTED_SETTINGS = 2
+"""Settings of the simulation with which the incumbent is fitted."""
 _STARTS = 4
 """Starts that effects propose, of which a round simulates the nearest."""
 
@@ -42,6 +45,7 @@ class SearchResult:
 
     Attributes:
         incumbent: the accepted model.
+        physics: the robot with the settings of the simulation of the incumbent.
         nominal: the model without effects.
         incumbents: scores of all incumbents, in order.
         pool: all simulated models.
@@ -50,6 +54,7 @@ class SearchResult:
     """
 
     incumbent: Model
+    physics: Physics
     nominal: Model
     incumbents: tuple[float, ...]
     pool: Pool
@@ -83,6 +88,7 @@ class Search:
             residual, physics.floor, physics.lengths, physics.recordings, len(physics.candidates)
         )
         self.pool = Pool(self.comparison)
+        self._passed: Model | None = None
         nominal = self._model(EMPTY, residual, "nominal model", EMPTY)
         self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
         self.pool.add(self.nominal)
@@ -97,7 +103,8 @@ class Search:
         incumbent, scores, is_complete = self.nominal, [self.nominal.score], False
         try:
             if start.terms:
-                incumbent = self._accept_fitted(self._simulate_one(start), incumbent) or incumbent
+                started = self._accept_fitted(self._simulate_one(start), incumbent)
+                incumbent = started or incumbent
                 scores.append(incumbent.score)
             for _ in range(self.settings.rounds if rounds is None else rounds):
                 self.check()
@@ -108,10 +115,12 @@ class Search:
                 incumbent = better
                 scores.append(incumbent.score)
         except OutOfTime:
-            pass
+            # A model that passed the test is the result, although its last fit is missing.
+            incumbent = self._passed or incumbent
         return SearchResult(
-            incumbent, self.nominal, tuple(scores), self.pool, self.comparison, is_complete
-        )
+            incumbent, self.physics, self.nominal, tuple(scores), self.pool, self.comparison,
+            is_complete,
+        )  # fmt: skip
 
     def _round(self, incumbent: Model) -> Model | None:
         """The model that replaces the incumbent; None if no proposal passes the test."""
@@ -122,12 +131,34 @@ class Search:
         chosen = self._select(proposals, incumbent)
         models = self._simulate([n.hypothesis for n in chosen], incumbent.corrected_at, "neighbour")
         models = self._fit_best(view, models, incumbent, self.settings.finalists)
-        models += self._from_starts(view, models, incumbent)
-        accepted = self._accept_one(view, models, incumbent)
-        if accepted is not None:
-            return accepted
-        rivals = self._rivals(view, proposals, incumbent)
-        return self._accept_one(view, rivals, incumbent)
+        return (
+            self._accept_one(view, models, incumbent)
+            or self._other_settings(incumbent)
+            or self._accept_one(view, self._from_starts(view, models, incumbent), incumbent)
+            or self._accept_one(view, self._rivals(view, proposals, incumbent), incumbent)
+        )
+
+    def _other_settings(self, incumbent: Model) -> Model | None:
+        """The incumbent with another setting of the simulation, if it explains more.
+
+        The setting is then that of all further models.
+        """
+        if not self._exceeds(incumbent, VERDICT.identifiable):
+            return None
+        tried = list[tuple[Physics, Model]]()
+        for physics in self.physics.other_settings(incumbent.hypothesis):
+            (residual,) = physics.simulate([incumbent.hypothesis], incumbent.hypothesis)
+            model = self._model(
+                incumbent.hypothesis, residual, "setting of the simulation", incumbent.hypothesis
+            )
+            tried.append((physics, model))
+        for physics, model in sorted(tried, key=lambda pair: -pair[1].score)[:_FITTED_SETTINGS]:
+            present, self.physics = self.physics, physics
+            accepted = self._accept_fitted(model, incumbent)
+            if accepted is not None and accepted.score > incumbent.score + self.settings.earns:
+                return accepted
+            self.physics = present
+        return None
 
     def _linearize(self, incumbent: Model) -> View:
         return self.physics.linearize(
@@ -212,8 +243,11 @@ class Search:
             if key not in seen and n.gain > -settings.rival_within:
                 seen.add(key)
                 chosen.append(n)
+        carried = confused(self.physics, incumbent.hypothesis, carried=True)
         models = self._simulate(
-            [n.hypothesis for n in chosen[: settings.rivals]], incumbent.corrected_at, "rival"
+            [*carried[: settings.rivals], *(n.hypothesis for n in chosen[: settings.rivals])],
+            incumbent.corrected_at,
+            "rival",
         )
         return self._fit_best(view, models, incumbent, settings.finalists)
 
@@ -246,9 +280,11 @@ class Search:
 
     def _accept_fitted(self, model: Model, incumbent: Model) -> Model | None:
         """A model fitted by simulation, if it then replaces the incumbent."""
+        self._passed = model if self._decide(model, incumbent).is_accepted else None
         hypothesis, residual, jacobian = self.physics.fit(
             model.hypothesis, model.residual, self.settings.refinements
         )
+        self._passed = None
         fitted = self._model(hypothesis, residual, model.origin, hypothesis)
         fitted = fitted.with_jacobian(self.comparison, jacobian)
         self.pool.add(fitted)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pytest_twin.diagnosis.conclusion import ChosenModel
+from pytest_twin.diagnosis.first_answer import hypothesis_of
 from pytest_twin.diagnosis.friction_constraint import (
     FRICTION_CREEP_NOTE,
     build_problem_with_better_constraint,
@@ -18,26 +20,44 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.one_search.accept import Acceptance
 from pytest_twin.diagnosis.one_search.model import Model
 from pytest_twin.diagnosis.one_search.physics import SimulatedPhysics
-from pytest_twin.diagnosis.one_search.posterior import Posterior, posterior
+from pytest_twin.diagnosis.one_search.posterior import Posterior, best_named, posterior
 from pytest_twin.diagnosis.one_search.report_rules import rejections
 from pytest_twin.diagnosis.one_search.search import Search
 from pytest_twin.diagnosis.one_search.search import SearchResult as PooledSearch
 from pytest_twin.diagnosis.patched.model import PatchedModel
+from pytest_twin.diagnosis.patched.native import mjcf_expresses
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run, ScoredHypothesis
 from pytest_twin.diagnosis.search.noise_levels import label
 from pytest_twin.diagnosis.search.pruning import PrunedModel, refit_without_each
 from pytest_twin.diagnosis.search.scored_model import ScoredModel, SelectedModel
-from pytest_twin.diagnosis.search_result import SearchResult, build_result
+from pytest_twin.diagnosis.search_result import (
+    SearchResult,
+    build_problem,
+    build_result,
+    residuals_everywhere,
+)
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unit_check import drop_other_units
+from pytest_twin.diagnosis.window_length import model_follows_recordings, typical_window_length
+from pytest_twin.diagnosis.window_settings import WINDOWS
+from pytest_twin.diagnosis.windows import WINDOW
+from pytest_twin.errors import RecordingError
 from pytest_twin.estimation.deadline import OutOfTime
-from pytest_twin.estimation.hypothesis import EMPTY
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 from pytest_twin.estimation.least_squares import FittedModel, weighted_cost
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import CommandBetween
 
+_LAST_ITERATIONS = 8
+"""Iterations of the last fit; one that has converged stops earlier."""
+_LOWER_FLOORS = 2
+"""Largest number of searches with a lower noise floor."""
+_WINDOWS_NOTE = (
+    "all errors are of predictions over windows of {:.2g} s that start from measured states: over "
+    "whole recordings small errors of this motion grow"
+)
 _ONE_RECORDING_NOTE = (
     "effects were accepted on parts of one recording, because there is no second one to predict; "
     "no confidence is above 90 %"
@@ -78,37 +98,107 @@ def find_structure(
     progress(0.06)
     run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
     setup, prepared, trials = adopt_simulation_step(setup, prepared, trials, run)
-    found = search_recordings(prepared, trials, run, notes)
+    searched = _search_recordings(setup, prepared, trials, run, notes)
+    physics = searched.physics
+    assert isinstance(physics, SimulatedPhysics)
+    if not searched.is_complete:
+        run.skip("the search for further effects")
+    if searched.comparison.has_one_recording:
+        notes.append(_ONE_RECORDING_NOTE)
+    with run.budget.reserved():
+        found = _conclude(physics, searched)
+    window = physics.prepared.window
+    if window is not None:
+        notes.append(_WINDOWS_NOTE.format(window))
+        found = replace(found, whole=prepared.problem)
+    setup = physics.setup
     if setup.has_friction_creep:
         notes.append(FRICTION_CREEP_NOTE)
     if setup.substeps:
         notes.append(describe_integrator(found.prepared))
-    return ChosenModel(setup, found, None, (*notes, *found.explanation.notes))
+    return ChosenModel(setup, found, window, (*notes, *found.explanation.notes))
 
 
-def search_recordings(
-    prepared: PreparedProblem, trials: TrialSet, run: Run, notes: list[str]
-) -> SearchResult:
-    """The result of one search, with the effects that the report rules leave.
+def _search_recordings(
+    setup: ModelSetup, prepared: PreparedProblem, trials: TrialSet, run: Run, notes: list[str]
+) -> PooledSearch:
+    """The search over whole recordings, or over windows of them that the model follows.
+
+    Far from contact, and in short windows, the linearization is valid where it is not over whole
+    recordings. Where the found model follows the whole recordings, the search continues there.
 
     Args:
-        prepared, trials: the problem, and its recordings.
+        setup: the model with its simulation settings.
+        prepared, trials: the problem over whole recordings, and its recordings.
         run: the running diagnosis.
-        notes: receives a line where only one recording was searched.
+        notes: receives notes for the reader.
     """
     problem = prepared.problem
-    run.begin("whole recordings", problem)
+    whole = SimulatedPhysics(setup, prepared, trials)
+    start = hypothesis_of(problem, run.first_answer) or EMPTY
+    contact = problem.simulator.models.contact
+    if contact.world.size:
+        with contextlib.suppress(RecordingError):
+            away, kept = build_problem(setup, trials, [], window=WINDOW, contact=contact)
+            far = SimulatedPhysics(setup, away, kept)
+            start = _rescaled(start, problem, away.problem)
+            found = _search(far, run, "windows far from contact", start)
+            start = _rescaled(found.incumbent.hypothesis, away.problem, problem)
+    elif not _follows(problem, EMPTY):
+        cut = _followed_windows(setup, prepared, trials)
+        stage = f"windows of {cut.prepared.window:.2g} s"
+        in_windows = _search(cut, run, stage, _rescaled(start, problem, cut.problem))
+        start = _rescaled(in_windows.incumbent.hypothesis, cut.problem, problem)
+        physics = in_windows.physics
+        assert isinstance(physics, SimulatedPhysics)
+        whole = SimulatedPhysics(physics.setup, prepared, trials)
+        if start.terms and not _follows(problem, start):
+            return in_windows
+    found = _search(whole, run, "whole recordings", start)
+    for _ in range(_LOWER_FLOORS):
+        physics, best = found.physics, found.incumbent.hypothesis
+        assert isinstance(physics, SimulatedPhysics)
+        lower = physics.prepared.with_lower_floor(best) if best.terms else None
+        if lower is None or not found.is_complete:
+            break
+        lowered = SimulatedPhysics(physics.setup, lower, physics.trials)
+        found = _search(lowered, run, "whole recordings, lower noise floor", best)
+    return found
+
+
+def _followed_windows(
+    setup: ModelSetup, prepared: PreparedProblem, trials: TrialSet
+) -> SimulatedPhysics:
+    """The longest windows, each half of the last, in which the model follows the recordings."""
+    window = typical_window_length(prepared.problem)
+    while True:
+        window *= 0.5
+        cut, kept = build_problem(setup, trials, [], window=window)
+        if _follows(cut.problem, EMPTY) or window <= 2.0 * WINDOWS.shortest:
+            return SimulatedPhysics(setup, cut, kept)
+
+
+def _rescaled(hypothesis: Hypothesis, of: Problem, to: Problem) -> Hypothesis:
+    """A hypothesis of one problem in the reference scales of another one."""
+    ratios = [
+        of.scales.value(p, t.joint) / to.scales.value(p, t.joint)
+        for t in hypothesis.terms
+        for p in t.parameters
+    ]
+    return hypothesis.with_theta(np.clip(hypothesis.theta * ratios, *hypothesis.bounds))
+
+
+def _follows(problem: Problem, hypothesis: Hypothesis) -> bool:
+    return model_follows_recordings(problem, residuals_everywhere(problem, hypothesis))
+
+
+def _search(physics: SimulatedPhysics, run: Run, stage: str, start: Hypothesis) -> PooledSearch:
+    """One search, which the limits of the diagnosis may end early."""
+    run.begin(stage, physics.problem)
     with run.budget.reserved():
-        physics = SimulatedPhysics(problem)
-        search = Search(physics, listener=_tracer(problem, run), check=lambda: _check(run))
+        search = Search(physics, listener=_tracer(physics.problem, run), check=lambda: _check(run))
     with run.budget.searching():
-        found = search.run()
-    if not found.is_complete:
-        run.skip("the search for further effects")
-    if found.comparison.has_one_recording:
-        notes.append(_ONE_RECORDING_NOTE)
-    with run.budget.reserved():
-        return _conclude(prepared, trials, physics, found)
+        return search.run(start)
 
 
 def _check(run: Run) -> None:
@@ -128,13 +218,12 @@ def _tracer(problem: Problem, run: Run) -> Callable[[Model, Model, Acceptance], 
     return record
 
 
-def _conclude(
-    prepared: PreparedProblem, trials: TrialSet, physics: SimulatedPhysics, found: PooledSearch
-) -> SearchResult:
+def _conclude(physics: SimulatedPhysics, found: PooledSearch) -> SearchResult:
     """Findings of a search: confidences from its pool, names by the report rules."""
-    problem, notes = prepared.problem, list[str]()
+    problem, notes = physics.problem, list[str]()
+    model = _refit(physics, found, best_named(found, _inexpressible))
+    found = replace(found, incumbent=model)
     shares = posterior(found, lambda h: not physics.refusals(h))
-    model = found.incumbent
     while model.hypothesis.terms:
         fitted = _fitted(problem, model)
         here = problem.at(model.hypothesis)
@@ -149,17 +238,25 @@ def _conclude(
         )  # fmt: skip
         if not rejected:
             reduced = [f.hypothesis for f in refitted]
-            return _result(prepared, trials, found, shares, model,
-                           PrunedModel(fitted, reduced, notes))  # fmt: skip
+            return _result(physics, found, shares, model, PrunedModel(fitted, reduced, notes))
         notes += [f"rejected: {label(problem, t)}: {why}" for t, why in rejected.items()]
-        rest = model.hypothesis.without(*rejected)
-        (residual,) = physics.simulate([rest], rest)
-        hypothesis, residual, jacobian = physics.fit(rest, residual, 4)
-        model = Model.of(
-            found.comparison, hypothesis, residual, physics.size(hypothesis), "report", hypothesis
-        ).with_jacobian(found.comparison, jacobian)
+        model = _refit(physics, found, model.hypothesis.without(*rejected))
     pruned = PrunedModel(_fitted(problem, model), [], notes)
-    return _result(prepared, trials, found, shares, model, pruned)
+    return _result(physics, found, shares, model, pruned)
+
+
+def _inexpressible(hypothesis: Hypothesis) -> int:
+    """Number of effects that plain MJCF cannot express."""
+    return sum(not mjcf_expresses(t.effect) for t in hypothesis.terms)
+
+
+def _refit(physics: SimulatedPhysics, found: PooledSearch, start: Hypothesis) -> Model:
+    """A hypothesis fitted to convergence."""
+    (residual,) = physics.simulate([start], start)
+    hypothesis, residual, jacobian = physics.fit(start, residual, _LAST_ITERATIONS)
+    size = physics.size(hypothesis)
+    model = Model.of(found.comparison, hypothesis, residual, size, "report", hypothesis)
+    return model.with_jacobian(found.comparison, jacobian)
 
 
 def _fitted(problem: Problem, model: Model) -> FittedModel:
@@ -171,14 +268,13 @@ def _fitted(problem: Problem, model: Model) -> FittedModel:
 
 
 def _result(
-    prepared: PreparedProblem,
-    trials: TrialSet,
+    physics: SimulatedPhysics,
     found: PooledSearch,
     shares: Posterior,
     model: Model,
     pruned: PrunedModel,
 ) -> SearchResult:
-    problem = prepared.problem
+    problem = physics.problem
     none = model.residual[:0]
     selected = SelectedModel(
         ScoredModel(pruned.fitted, none, problem.at(model.hypothesis)),
@@ -188,4 +284,4 @@ def _result(
         nearby_models=shares.nearby,
         candidate_count=found.comparison.candidates,
     )
-    return build_result(prepared, trials, selected, pruned)
+    return build_result(physics.prepared, physics.trials, selected, pruned)
