@@ -6,12 +6,13 @@ import argparse
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.asset import manifest
 from pytest_twin.asset.manifest import Manifest
-from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands import intake, json_output, model_files, realize, xacro_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -21,6 +22,7 @@ from pytest_twin.commands.recording_arguments import (
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.formats import atomic
+from pytest_twin.formats.declared_inputs import declared_inputs, declaring
 from pytest_twin.formats.expansions import SUFFIX, model_stem
 from pytest_twin.gate.coverage import AUDIT
 from pytest_twin.gate.gate import Gate
@@ -29,7 +31,7 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.failure import what
 from pytest_twin.setup import writing
 from pytest_twin.setup.anew import propose_anew
-from pytest_twin.setup.asset_files import CopiedFiles, RobotFiles, copy_into_twin
+from pytest_twin.setup.asset_files import ASSET, CopiedFiles, RobotFiles, copy_into_twin
 from pytest_twin.setup.recordings import ROOT, TaskTolerance, parse_tolerance, place_recordings
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
 from pytest_twin.words import counted
@@ -57,8 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "robot",
         metavar="ROBOT",
         type=Path,
-        help="URDF (.urdf) or MJCF (.xml); or twin.yaml, to propose goldens anew: those that can "
-        "still be compared stay as they are",
+        help="URDF (.urdf), MJCF (.xml) or xacro file; or twin.yaml, to propose goldens anew: those "
+        "that can still be compared stay as they are",
     )
     parser.add_argument(
         "recordings",
@@ -85,6 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "DIR/asset",
     )
     model_files.add_arguments(parser)
+    xacro_files.add_arguments(parser)
     add_recording_arguments(parser)
 
 
@@ -105,24 +108,41 @@ def run(args: argparse.Namespace) -> int:
     if robot.name == FILE_NAME:
         return _propose_anew(robot, args)
     folder: Path = args.out.resolve()
-    if robot.suffix == SUFFIX:
-        # realize writes the manifest by which the gate sees that an included file changed.
+    if not robot.is_file() or robot.suffix.lower() not in (*MODEL_SUFFIXES, SUFFIX):
         raise SpecError(
-            "a xacro file, and a twin needs the model that came out of it",
+            "no robot file",
             path=args.robot,
-            expected="its package through pytest-twin intake PACKAGE --out DIR, then pytest-twin "
-            f"realize DIR/source/.../{robot.name} --out DIR [--xacro ARG:=VALUE], then "
-            f"pytest-twin init DIR/{model_stem(robot)}.urdf",
-        )
-    if not robot.is_file() or robot.suffix.lower() not in MODEL_SUFFIXES:
-        raise SpecError(
-            "no robot file", path=args.robot, expected="a URDF (.urdf) or an MJCF (.xml) file"
+            expected="a URDF (.urdf), an MJCF (.xml) or a xacro file (.xacro)",
         )
     if (folder / FILE_NAME).exists():
         raise SpecError("a twin exists already", path=folder / FILE_NAME, expected="a new folder")
-    asset = _asset_of(robot, folder)
+    if robot.suffix != SUFFIX and args.xacro:
+        raise SpecError(
+            "not a xacro file", path=robot, where="--xacro", expected="a file NAME.xacro"
+        )
     with writing.all_or_nothing(folder):
-        return _set_up(robot, asset, folder, args)
+        inputs = declared_inputs()
+        if robot.suffix == SUFFIX:
+            robot = _realized(robot, folder, args)
+            # The packages are in the asset now.
+            inputs = replace(inputs, packages={})
+        with declaring(inputs):
+            return _set_up(robot, _asset_of(robot, folder), folder, args)
+
+
+def _realized(robot: Path, folder: Path, args: argparse.Namespace) -> Path:
+    """Take in the packages of a xacro file and realize it in the twin's folder; return its URDF.
+
+    Intake and realize write the manifest by which the gate sees that an included file changed.
+    """
+    asset = folder / ASSET / model_stem(robot)
+    atomic.make_folder(asset.parent)
+    common = {"root": args.root, "package": args.package, "xacro": args.xacro, "json": None}
+    intake.run(argparse.Namespace(origin=robot, out=asset, supplier=None, date=None, **common))
+    source = xacro_files.place_in_delivery(robot, asset / manifest.SOURCE_FOLDER)
+    with declaring(replace(declared_inputs(), packages={})):
+        realize.run(argparse.Namespace(urdf=source, out=asset, accept=[], **common))
+    return asset / f"{model_stem(robot)}.urdf"
 
 
 def _asset_of(robot: Path, folder: Path) -> tuple[Path, Manifest] | None:

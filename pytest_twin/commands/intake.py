@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from pytest_twin.asset import evidence, manifest
 from pytest_twin.asset.manifest import Manifest, State
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files, xacro_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import FormatError, PathError, SpecError, TwinError
@@ -19,7 +21,10 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.words import counted
 
 HELP = "copy a supplier's archive or folder unchanged, with a digest of every file"
-EXAMPLES = ("pytest-twin intake arm_v3.zip --out arm --supplier 'Arms Ltd'",)
+EXAMPLES = (
+    "pytest-twin intake arm_v3.zip --out arm --supplier 'Arms Ltd'",
+    "pytest-twin intake arm_description/urdf/arm.urdf.xacro --out arm",
+)
 EXIT_STATUS = {0: "the files are copied and the manifest is written"}
 DONE = 0
 SOURCE = manifest.SOURCE_FOLDER
@@ -32,7 +37,10 @@ _SECONDS = 1800.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "origin", metavar="ARCHIVE|FOLDER", type=Path, help="zip file, tar file or folder"
+        "origin",
+        metavar="ARCHIVE|FOLDER|XACRO",
+        type=Path,
+        help="zip file, tar file, folder, or a xacro file, of which all packages are copied",
     )
     parser.add_argument(
         "--out",
@@ -44,6 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--date", metavar="YYYY-MM-DD", help="date of delivery (default: today, UTC)"
     )
+    model_files.add_arguments(parser)
+    xacro_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
             expected="a path to a .zip, a .tar or a folder",
         )
     name = origin.resolve().name.split(".")[0] if origin.is_file() else origin.resolve().name
+    with xacro_files.expanded(origin.resolve(), args) as expansion:
+        folders = None if expansion is None else xacro_files.delivery_of(expansion)
     out: Path = (args.out or Path(name)).resolve()
     if (out / SOURCE).exists() or (out / manifest.FILE_NAME).exists():
         raise SpecError(
@@ -68,11 +80,11 @@ def run(args: argparse.Namespace) -> int:
             value=_comparison(out / manifest.FILE_NAME, origin),
             expected="a new folder",
         )
-    if origin.is_dir() and out.is_relative_to(origin.resolve()):
+    if any(out.is_relative_to(one) for one in folders or [origin.resolve()]):
         raise SpecError(
             "the asset would be inside its own source",
             path=out,
-            expected=f"a folder outside {origin} for --out",
+            expected="a folder outside it for --out",
         )
     date = _date(args.date)
     with (
@@ -82,10 +94,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         source = staging / SOURCE
         source.mkdir()
-        names = sandbox.call(
-            "pytest_twin.asset.unpack:unpack",
-            {"origin": str(origin.resolve()), "folder": str(source)},
-        )
+        names = _copy(sandbox, folders, origin.resolve(), source)
         found = sandbox.call("pytest_twin.asset.evidence:sort_folder", {"folder": str(source)})
         lacking = evidence.missing(found) + ([] if args.supplier else ["supplier"])
         command = ["pytest-twin", "intake", origin.resolve().name, "--out", "DIR"]
@@ -109,7 +118,30 @@ def run(args: argparse.Namespace) -> int:
         manifest.write(staging / manifest.FILE_NAME, written)
     json_output.give(args, json.loads(written.to_text()))
     _tell(out, found, lacking, state)
+    for file in _robots(out, found, None if expansion is None else origin):
+        arguments = "".join(f" --xacro {shlex.quote(word)}" for word in args.xacro)
+        show(f"next: pytest-twin realize {file} --out {out}{arguments}")
     return DONE
+
+
+def _copy(
+    sandbox: Sandbox, folders: Sequence[Path] | None, origin: Path, source: Path
+) -> list[str]:
+    """Copy an archive or a folder, or each package to a folder of its name; return the files."""
+    if folders is None:
+        names: list[str] = sandbox.call(
+            "pytest_twin.asset.unpack:unpack", {"origin": str(origin), "folder": str(source)}
+        )
+        return names
+    names = []
+    for folder in folders:
+        (source / folder.name).mkdir()
+        copied = sandbox.call(
+            "pytest_twin.asset.unpack:unpack",
+            {"origin": str(folder), "folder": str(source / folder.name)},
+        )
+        names += [f"{folder.name}/{file}" for file in copied]
+    return sorted(names)
 
 
 def _comparison(earlier: Path, origin: Path) -> str | None:
@@ -143,6 +175,11 @@ def _tell(out: Path, found: dict[str, list[str]], lacking: list[str], state: Sta
         show(f"  {kind}: {len(files)}: {shown}")
     for kind in lacking:
         show(f"  missing: {kind}")
-    for file in found.get("model", ()):
-        if file.endswith((".urdf", ".urdf.xacro")):
-            show(f"next: pytest-twin realize {out / SOURCE / file} --out {out}")
+
+
+def _robots(out: Path, found: dict[str, list[str]], taken: Path | None) -> list[Path]:
+    """The files to realize: the xacro file that was taken in, or those that seem to be robots."""
+    if taken is not None:
+        return [xacro_files.place_in_delivery(taken, out / SOURCE)]
+    models = found.get("model", ())
+    return [out / SOURCE / name for name in models if name.endswith((".urdf", ".urdf.xacro"))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import itertools
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -81,9 +82,56 @@ def expanded(path: Path, args: argparse.Namespace) -> Iterator[Expansion | None]
             f"<!-- Expanded by xacro from {path.name}, as: "
             f"{command(path, arguments).replace('--', '- -')} -->\n{answer['text']}\n",
         )
-        expansion = Expansion(path, urdf, tuple(map(Path, answer["read"])), arguments)
+        expansion = Expansion(
+            path, urdf, tuple(map(Path, answer["read"])), arguments,
+            tuple(map(Path, answer["packages"].values())),
+        )  # fmt: skip
         with declaring(replace(declared_inputs(), expansion=expansion)):
             yield expansion
+
+
+def delivery_of(expansion: Expansion) -> list[Path]:
+    """Folders of all packages of a xacro file: what intake has to keep so that it can be expanded.
+
+    A file without a package brings its folder.
+
+    Raises:
+        SpecError: a file that it includes is in none of them.
+    """
+    declared = declared_inputs()
+    folders = [_package_of(expansion.read[0]) or expansion.read[0].parent]
+    folders += [folder for file in expansion.read if (folder := _package_of(file)) is not None]
+    folders += [folder.resolve() for folder in (*expansion.packages, *declared.packages.values())]
+    once = list(dict.fromkeys(folders))
+    outer = [one for one in once if not any(one != two and one.is_relative_to(two) for two in once)]
+    for file in expansion.read:
+        if not any(file.is_relative_to(folder) for folder in outer):
+            raise SpecError(
+                "a xacro file includes a file that is in no package", path=file,
+                expected=f"a folder with {expansion.source.name} and all its files: pytest-twin "
+                "intake FOLDER --out DIR",
+            )  # fmt: skip
+    names = [folder.name for folder in outer]
+    if len(set(names)) < len(names):
+        raise SpecError(
+            "two packages have folders of one name", path=expansion.source,
+            value=", ".join(map(str, outer)), expected="different names",
+        )  # fmt: skip
+    return outer
+
+
+def place_in_delivery(path: Path, source: Path) -> Path:
+    """Path of a xacro file in the folder to which intake copied its packages."""
+
+    def shared_parts(copied: Path) -> int:
+        pairs = zip(reversed(copied.parts), reversed(path.resolve().parts), strict=False)
+        return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+    return max(source.rglob(path.resolve().name), key=shared_parts)
+
+
+def _package_of(file: Path) -> Path | None:
+    return next((one for one in file.parents if (one / "package.xml").is_file()), None)
 
 
 def _arguments(words: list[str]) -> dict[str, str]:

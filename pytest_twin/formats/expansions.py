@@ -21,12 +21,14 @@ class Expansion:
         urdf: file with the text of the URDF; its relative paths start at the folder of ``source``.
         read: the xacro file and everything that it includes or loads.
         arguments: name -> value, as given to xacro.
+        packages: folders of the packages that it names.
     """
 
     source: Path
     urdf: Path
     read: tuple[Path, ...]
     arguments: Mapping[str, str]
+    packages: tuple[Path, ...] = ()
 
     @staticmethod
     def of(content: Mapping[str, Any]) -> Expansion:
@@ -36,6 +38,7 @@ class Expansion:
             Path(content["urdf"]),
             tuple(map(Path, content["read"])),
             dict(content["arguments"]),
+            tuple(map(Path, content["packages"])),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -45,6 +48,7 @@ class Expansion:
             "urdf": str(self.urdf),
             "read": [str(file) for file in self.read],
             "arguments": dict(self.arguments),
+            "packages": [str(folder) for folder in self.packages],
         }
 
 

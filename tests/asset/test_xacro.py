@@ -234,14 +234,69 @@ def test_without_xacro_or_confinement_the_command_of_ros_is_given(
     assert missing in error or "pip install 'pytest-twin[xacro]'" in error
 
 
-def test_a_model_that_is_not_expanded_names_the_way_to_one(
+@pytest.fixture
+def released_from_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A twin of a xacro file by one command, with its first release."""
+    monkeypatch.setattr(gate_runner, "Sandbox", InProcess)
+    for name in ("CONFIG", "STATE"):
+        monkeypatch.setenv(f"XDG_{name}_HOME", str(tmp_path / "user"))
+    folder, twin = supplied(tmp_path / "supplied"), tmp_path / "twin"
+    (folder / "another").mkdir()
+    (folder / "another/private.txt").write_text("not of this robot")
+    words = ["init", str(folder / XACRO), "--xacro", "mass:=2", "--out", str(twin)]
+    assert main([*words, *options(folder)]) == 0
+    keep_goldens(twin, "fk")
+    assert run_gate(twin).lines[-1].startswith("release 0001 signed")
+    return twin
+
+
+def test_init_takes_a_xacro_file_with_its_packages_into_the_source_chain(
+    released_from_the_file: Path,
+) -> None:
+    asset = released_from_the_file / "asset/arm"
+    assert urdf.read(asset / "arm.urdf").links["base"].mass == 2.0
+    kept = {p.relative_to(asset / "source").parts[0] for p in (asset / "source").rglob("*")}
+    assert kept == {"arm_description", "parts"}
+
+    edit(asset / "source/parts/urdf/link.xacro", b"0.002", b"0.003")
+
+    lines = run_gate(released_from_the_file).lines
+    assert any("no release" in line for line in lines), lines
+    assert any("parts/urdf/link.xacro" in line for line in lines), lines
+
+
+def test_intake_copies_the_packages_of_a_xacro_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = supplied(tmp_path) / XACRO
+    folder, arm = supplied(tmp_path / "supplied"), tmp_path / "arm"
 
-    status = main(["init", str(path), "--out", str(tmp_path / "o")])
+    words = ["intake", str(folder / XACRO), "--out", str(arm), "--xacro", "mass:=2"]
+    assert main([*words, *options(folder)]) == 0
+    source = json.loads((arm / "manifest.json").read_text())["states"]["source"]
+    assert "source/parts/urdf/link.xacro" in source["files"]
+    assert "source/arm_description/meshes/a.stl" in source["files"]
+    assert source["origin"]["name"] == "arm.urdf.xacro"
+    (following,) = [
+        line for line in capsys.readouterr().out.splitlines() if line.startswith("next: ")
+    ]
+    assert main([*following.split()[2:]]) == 0
+    assert urdf.read(arm / "arm.urdf").links["base"].mass == 2.0
+
+
+def test_a_failed_init_of_a_xacro_file_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = supplied(tmp_path / "supplied")
+    words = ["init", str(folder / XACRO), "--out", str(tmp_path / "o"), "--xacro", "size:=2"]
+
+    status = main([*words, *options(folder)])
 
     assert status == 2
-    assert "then pytest-twin init DIR/arm.urdf" in capsys.readouterr().err
+    assert "--xacro: the file has no such argument" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_model_that_is_not_expanded_names_the_way_to_one(tmp_path: Path) -> None:
+    path = supplied(tmp_path) / XACRO
     with pytest.raises(FormatError, match=r"pytest-twin realize arm\.urdf\.xacro --out DIR"):
         load(path)
