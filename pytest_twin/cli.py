@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import importlib
-import os
 import sys
 from collections.abc import Mapping, Sequence
 
@@ -77,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return UNUSABLE_INPUT
     words = list(sys.argv[1:] if arguments is None else arguments)
     args = _parse(words)
+    terminal.take_failure()
     try:
         with (
             sigterm_as_interrupt(),
@@ -86,28 +85,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status: int = args.run(args)
         json_output.write(args)
         sys.stdout.flush()
+        if (failure := terminal.take_failure()) is not None:
+            raise failure
     except TwinError as error:
         terminal.show_error(f"{_PROGRAM} {args.command}", str(error))
         return UNUSABLE_INPUT
     except BrokenPipeError:
         # The reader closed the pipe (`| head`); the files are written.
-        _discard_output()
+        terminal.discard(sys.stdout)
         return BROKEN_PIPE
     except OSError as error:
         # A disk that is full or read-only, or standard output on one.
         terminal.show_error(f"{_PROGRAM} {args.command}", str(of_system(error)))
-        _discard_output()
+        terminal.discard(sys.stdout)
         return UNUSABLE_INPUT
     except KeyboardInterrupt:
         terminal.show_error(f"{_PROGRAM} {args.command}", "interrupted; no file is half written")
         return INTERRUPTED
     return status
-
-
-def _discard_output() -> None:
-    """Keep Python from writing the rest of the output, which fails again, when it ends."""
-    with contextlib.suppress(OSError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parse(words: list[str]) -> argparse.Namespace:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from pytest_twin.adaptation_spec import ResidualSpec, ShadowPolicy, UpdateSpec, digest_of
 from pytest_twin.budget_spec import BudgetSpec
 from pytest_twin.errors import SpecError
-from pytest_twin.formats import yaml
+from pytest_twin.formats import temporary, yaml
 from pytest_twin.formats.calibration_record import CalibrationRecord, read_calibration_record
 from pytest_twin.formats.identification_record import (
     IdentificationRecord,
@@ -32,6 +32,8 @@ from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 FILE_NAME = "twin.yaml"
 PENDING_ROLLBACK = ".twin/rollback"
 """Folder of a rollback whose files are not yet all in place."""
+UNFINISHED_INIT = ".twin/init/before.json"
+"""List of files that init found; init locks its folder, and removes it when the twin is whole."""
 EFFECTS_FILE = "effects.json"
 """File next to a model that a diagnosis wrote: effects that MJCF cannot express."""
 # Model files in the folder of a diagnosis; the first that exists is used.
@@ -580,9 +582,20 @@ def load_twin(path: Path) -> Twin:
             path=path.parent,
             expected="pytest-twin rollback, which completes it",
         )
+    if _is_unfinished(path.parent):
+        raise SpecError(
+            "init was stopped before this twin was complete",
+            path=path.parent,
+            expected="pytest-twin init ROBOT again, which sets aside what is there",
+        )
     document = yaml.load(path)
     validate(document, schema(), path)
     return _Reader(path, document.data, document.lines).twin()
+
+
+def _is_unfinished(folder: Path) -> bool:
+    files_before = folder / UNFINISHED_INIT
+    return files_before.is_file() and temporary.is_abandoned(files_before.parent)
 
 
 @cache

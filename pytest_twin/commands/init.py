@@ -114,6 +114,9 @@ def run(args: argparse.Namespace) -> int:
             path=args.robot,
             expected="a URDF (.urdf), an MJCF (.xml) or a xacro file (.xacro)",
         )
+    aside = writing.set_aside(folder)
+    if aside is not None and aside.is_dir():
+        show(f"note: an earlier init was stopped; what it had written is now in {aside}")
     if (folder / FILE_NAME).exists():
         raise SpecError("a twin exists already", path=folder / FILE_NAME, expected="a new folder")
     if robot.suffix != SUFFIX and args.xacro:

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from pytest_twin.commands.terminal import write_line
 from pytest_twin.interrupts import StopRequest, stop_on_interrupt
 from pytest_twin.report.progress_log import ProgressLog
 from pytest_twin.report.text import printable
@@ -90,7 +91,7 @@ class Progress:
         elif self._live is not None:
             self._live.console.print(printable(text), markup=False, highlight=False)
         else:
-            print(printable(text), file=sys.stderr, flush=True)
+            write_line(printable(text), sys.stderr)
 
     def stopping_early(self, written: str) -> AbstractContextManager[StopRequest]:
         """Context in which the first interrupt ends the work of child processes early.
@@ -110,7 +111,7 @@ class Progress:
         # A step of the work may take many minutes without a report.
         while not self._ended.wait(_LOOK_SECONDS):
             if (line := self._log.line(self._done, self._stage())) is not None:
-                print(line, file=sys.stderr, flush=True)
+                write_line(line, sys.stderr)
 
 
 def _live_line() -> RichProgress:

@@ -1,10 +1,18 @@
-"""Print text, coloured on a terminal that supports it."""
+"""Print text, coloured on a terminal that supports it.
+
+Output that fails (`| head` closed the pipe, or the disk of a log is full) ends no work: the rest is
+discarded, and the exit status of the command says so when the work is done.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from typing import TextIO
+
+_failure: OSError | None = None
+"""The first failure of output since :func:`take_failure`."""
 
 # A word or mark at the start of a line determines its colour by severity.
 _RULES = (
@@ -22,7 +30,7 @@ def show(text: str, *, error: bool = False) -> None:
     """
     stream = sys.stderr if error else sys.stdout
     if not _is_coloured(stream):
-        print(text, file=stream)
+        write_line(text, stream)
         return
     from rich.console import Console
     from rich.text import Text
@@ -36,13 +44,36 @@ def show(text: str, *, error: bool = False) -> None:
 def show_error(command: str, text: str) -> None:
     """Print the single line with which a command ends if its input cannot be used."""
     if not _is_coloured(sys.stderr):
-        print(f"{command}: {text}", file=sys.stderr)
+        write_line(f"{command}: {text}", sys.stderr)
         return
     from rich.console import Console
     from rich.text import Text
 
     line = Text.assemble((f"{command}: ", "bold red"), text)
     Console(stderr=True, highlight=False).print(line, soft_wrap=True)
+
+
+def write_line(text: str, stream: TextIO) -> None:
+    """Print a plain line at once; a stream that fails is discarded from then on."""
+    global _failure
+    try:
+        print(text, file=stream, flush=True)
+    except OSError as error:
+        _failure = _failure or error
+        discard(stream)
+
+
+def discard(stream: TextIO) -> None:
+    """Send the rest of a stream to nowhere: Python writes it when it ends, which fails again."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def take_failure() -> OSError | None:
+    """Return the first failure of output, and forget it."""
+    global _failure
+    failure, _failure = _failure, None
+    return failure
 
 
 def _is_coloured(stream: TextIO) -> bool:

@@ -98,6 +98,19 @@ def locked(folder: Path) -> Iterator[bool]:
         yield _try_lock(descriptor) is not False
 
 
+def is_abandoned(folder: Path) -> bool:
+    """Whether a folder that its process locks has no owner any more.
+
+    False where there is no folder, and on a file system without locks.
+    """
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:
+        return False
+    with _closing(descriptor):
+        return _try_lock(descriptor) is True
+
+
 @contextlib.contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
     """Context that one process at a time has for a folder; the others wait.

@@ -20,6 +20,7 @@ from pytest_twin.formats import atomic
 from pytest_twin.formats.file_names import portable_names
 from pytest_twin.gate.schema import golden_schema, modeline
 from pytest_twin.gate.specs import GOLDEN_FOLDER
+from pytest_twin.setup import unfinished
 from pytest_twin.setup.asset_files import ASSET
 from pytest_twin.twin import FILE_NAME
 
@@ -42,11 +43,15 @@ _RULES = """\
 
 @contextmanager
 def all_or_nothing(folder: Path) -> Iterator[None]:
-    """Delete the written files of a twin in ``folder`` if the block raises an exception."""
+    """Delete the written files of a twin in ``folder`` if the block raises an exception.
+
+    A twin whose block was killed is refused by every command; :func:`set_aside` clears it away.
+    """
     there = folder.is_dir()
     before = frozenset(_written_files(folder))
     try:
-        yield
+        with unfinished.marked(folder, before):
+            yield
     except BaseException:
         for path in _written_files(folder):
             if path not in before:
@@ -56,6 +61,16 @@ def all_or_nothing(folder: Path) -> Iterator[None]:
             with suppress(OSError):
                 folder.rmdir()
         raise
+
+
+def set_aside(folder: Path) -> Path | None:
+    """Move what an init that was killed has written out of the way; None if there was none.
+
+    Raises:
+        SpecError: an init is running in this folder.
+        PathError: a file cannot be moved.
+    """
+    return unfinished.set_aside(folder, _written_files(folder))
 
 
 def _written_files(folder: Path) -> Iterator[Path]:
