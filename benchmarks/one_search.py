@@ -39,7 +39,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "topics": args.topics,
                 "options": recording_options(args),
                 "seconds": seconds,
-                "own_time": args.seconds is None,
             },
             find=find_structure,
         )

@@ -97,22 +97,32 @@ def posterior(
     return out
 
 
-def best_named(found: SearchResult, inexpressible: Callable[[Hypothesis], int]) -> Hypothesis:
-    """The incumbent, or a set with the same prediction that plain MJCF expresses further.
+def best_named(
+    found: SearchResult,
+    inexpressible: Callable[[Hypothesis], int],
+    is_possible: Callable[[Hypothesis], bool],
+) -> Hypothesis:
+    """The incumbent, or a set with the same prediction that is simpler or that MJCF expresses.
 
     Args:
         found: the search.
         inexpressible: number of effects of a set that MJCF cannot express.
+        is_possible: whether a set may be reported.
     """
     incumbent = found.incumbent
     alike = [
-        rival.hypothesis
+        (rival.size, rival.hypothesis)
         for rival in found.pool.rivals_of(incumbent)
-        if rival.is_simulated and rival.size == incumbent.size
+        if rival.is_simulated and not rival.size.is_richer_than(incumbent.size)
         and rival.difference is not None and rival.difference <= SAME_PREDICTION
+        and is_possible(rival.hypothesis)
     ]  # fmt: skip
-    # The incumbent comes first among sets that are expressed equally far.
-    return min([incumbent.hypothesis, *alike], key=inexpressible)
+    # The incumbent comes first among equals.
+    named = min(
+        [(incumbent.size, incumbent.hypothesis), *alike],
+        key=lambda each: (each[0].effects, each[0].parameters, inexpressible(each[1])),
+    )
+    return named[1]
 
 
 def _log_odds_of(found: SearchResult) -> Callable[[PooledModel], float]:

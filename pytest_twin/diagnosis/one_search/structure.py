@@ -221,13 +221,15 @@ def _tracer(problem: Problem, run: Run) -> Callable[[Model, Model, Acceptance], 
 def _conclude(physics: SimulatedPhysics, found: PooledSearch) -> SearchResult:
     """Findings of a search: confidences from its pool, names by the report rules."""
     problem, notes = physics.problem, list[str]()
-    model = _refit(physics, found, best_named(found, _inexpressible))
-    found = replace(found, incumbent=model)
-    shares = posterior(found, lambda h: not physics.refusals(h))
-    while model.hypothesis.terms:
-        fitted = _fitted(problem, model)
-        here = problem.at(model.hypothesis)
-        refitted, *_ = refit_without_each(here, fitted)
+    start = found.incumbent.hypothesis
+    while True:
+        found = replace(found, incumbent=_refit(physics, found, start))
+        best = best_named(found, _inexpressible, lambda h: not physics.refusals(h))
+        if best is not found.incumbent.hypothesis:
+            found = replace(found, incumbent=_refit(physics, found, best))
+        model = found.incumbent
+        fitted, here = _fitted(problem, model), problem.at(model.hypothesis)
+        refitted = refit_without_each(here, fitted)[0] if model.hypothesis.terms else []
         without = {
             t: np.mean(f.residual**2, axis=0)
             for t, f in zip(model.hypothesis.terms, refitted, strict=True)
@@ -237,12 +239,12 @@ def _conclude(physics: SimulatedPhysics, found: PooledSearch) -> SearchResult:
             physics.floor, physics.refusals(model.hypothesis), len(physics.joints),
         )  # fmt: skip
         if not rejected:
-            reduced = [f.hypothesis for f in refitted]
-            return _result(physics, found, shares, model, PrunedModel(fitted, reduced, notes))
+            break
         notes += [f"rejected: {label(problem, t)}: {why}" for t, why in rejected.items()]
-        model = _refit(physics, found, model.hypothesis.without(*rejected))
-    pruned = PrunedModel(_fitted(problem, model), [], notes)
-    return _result(physics, found, shares, model, pruned)
+        start = model.hypothesis.without(*rejected)
+    shares = posterior(found, lambda h: not physics.refusals(h))
+    reduced = [f.hypothesis for f in refitted]
+    return _result(physics, found, shares, model, PrunedModel(fitted, reduced, notes))
 
 
 def _inexpressible(hypothesis: Hypothesis) -> int:
