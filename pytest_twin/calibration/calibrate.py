@@ -15,13 +15,13 @@ from pytest_twin.calibration.basis import calibration_basis
 from pytest_twin.calibration.cameras.half_turn import with_consistent_orientation
 from pytest_twin.calibration.cameras.image_refinement import ImageRefinement, calibrate_intrinsics
 from pytest_twin.calibration.cameras.images import Images, read_images
+from pytest_twin.calibration.changed_cell import changed_cell
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident_markers import ExcludedMeasurement, without_coincident
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weigh_by_source
 from pytest_twin.calibration.input_mistake import InputMistake
 from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
-from pytest_twin.calibration.moved_body import moved_body
 from pytest_twin.calibration.next_poses import next_poses, pose_diversity
 from pytest_twin.calibration.observability import (
     Gauge,
@@ -286,11 +286,11 @@ def calibrate(
     lost = [] if seen is None else seen.complete(document, held_rows)
     document["unobservable"] += lost
     degenerate = degenerate or bool(lost)
+    change = None if degenerate or is_over() else changed_cell(problem, fit)
     suspected: tuple[InputMistake, ...] = ()
-    if not degenerate and not plan.has_free_scale and not is_over():
-        moved = moved_body(problem, fit)
-        suspected = () if moved is None else (moved,)
-    if not suspected:
+    if change is not None and not change.may_be_arm:
+        suspected = (change.mistake,)
+    else:
         suspected = _suspected(fit, document, None if seen is None else seen.scale)
     document["suspected"] = [one.to_json() for one in suspected]
     reasons = [
@@ -299,8 +299,13 @@ def calibrate(
             errors.summary() if errors.ids else solved.estimate.leave_one_out, asdict(plan.accept)
         ),
     ]
-    if better is not None and better.is_beyond_chance and not suspected:
-        reasons.append(better.words)
+    notes = [*problem.notes, *(() if seen is None else seen.notes), *_notes(plan, held)]
+    if change is not None and change.may_be_arm:
+        notes.append(change.note)
+    # Poses that determine nothing compare no solvers.
+    if better is not None and not degenerate:
+        is_reason = better.is_beyond_chance and not suspected
+        (reasons if is_reason else notes).append(better.words)
     if degenerate and not suspected:
         document["verdict"] = "degenerate"
     else:
@@ -308,12 +313,9 @@ def calibrate(
     directions = [*(direction.words for direction in solved.estimate.directions), *lost]
     # A mistake in the input makes directions seem undetermined; further poses would not help.
     document["reasons"] = reasons if suspected else [*directions, *reasons]
-    seen_notes = () if seen is None else seen.notes
-    document["notes"] = [*problem.notes, *seen_notes, *_notes(plan, held)]
-    if better is not None and not better.is_beyond_chance:
-        document["notes"].append(better.words)
     if TARGET_SCALE in document["records"] and (note := size_note(plan)):
-        document["notes"].append(note)
+        notes.append(note)
+    document["notes"] = notes
     document["covariance"] = full_covariance(solved.estimate)
     document["scene"] = scene(
         problem, fit.state, {"held_out": (problem, errors), "fitted": (fit.problem, fitted)}

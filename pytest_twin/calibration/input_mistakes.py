@@ -70,7 +70,7 @@ def find_mistakes(fit: Fit, of_corners: FreeScale | None = None) -> tuple[InputM
     rows = {int(row) for term in problem.terms for row in term.rows}
     if len(rows) < LEAST_ROWS or not problem.layout.poses:
         return ()
-    found = [InputMistake(what, mend, *_unknown_errors()) for what, mend in _far_away(problem)]
+    found = list(lengths_in_mm(problem))
     now = _errors(problem)
     tried = [
         InputMistake(what, mend, *_errors(problem.with_observations(changed)))
@@ -97,6 +97,11 @@ def find_mistakes(fit: Fit, of_corners: FreeScale | None = None) -> tuple[InputM
         best = min(one.translation for one in good)
         good = [one for one in good if one.translation <= best / FAR_BETTER]
     return (*found, *sorted(good, key=lambda one: one.translation))
+
+
+def lengths_in_mm(problem: CalibrationProblem) -> tuple[InputMistake, ...]:
+    """Return the poses that are so far away that their positions must be in mm."""
+    return tuple(InputMistake(what, mend, *_unknown_errors()) for what, mend in _far_away(problem))
 
 
 def _unknown_errors() -> tuple[float, float]:

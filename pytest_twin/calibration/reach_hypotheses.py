@@ -12,6 +12,10 @@ from pytest_twin.calibration.problem import CalibrationProblem, arms
 from pytest_twin.calibration.residual_errors import Errors, errors_of
 from pytest_twin.calibration.solve import Fit, solve
 
+CLEAR, APART = 0.5, 0.2
+"""Part of the squared error that the most likely cause explains, and by how much more than the
+others. Link geometry under its prior takes up to 0.44 of the error of a compliant arm."""
+
 _TESTS = {
     "joint_zeros": "add joint_zeros to estimate",
     "geometry": "add geometry to estimate",
@@ -56,17 +60,38 @@ def reach_hypotheses(fit: Fit, held: CalibrationProblem, errors: Errors) -> list
                 "next_test": "give robot: and columns joint.NAME, and add joint_zeros to estimate",
             },
         )
-    return sorted(causes, key=lambda one: -float(one.get("removes", one.get("along_gravity", 1.0))))
+    by_size = {one["cause"]: _explained(one) for one in causes}
+    if {"joint_zeros", "geometry"} <= set(by_size):
+        gained = by_size["geometry"] - by_size["joint_zeros"]
+        if gained < APART:
+            by_size["geometry"] = min(by_size["geometry"], by_size["joint_zeros"] - 1e-9)
+    return sorted(causes, key=lambda one: -by_size[one["cause"]])
 
 
 def hypotheses_in_words(hypotheses: list[dict[str, Any]]) -> str:
-    """Return the hypotheses as one text."""
+    """Return the hypotheses as one text, which says whether one of them is the most likely."""
     parts = []
     for one in hypotheses:
-        shown = ""
+        figure = ""
         if "removes" in one:
-            shown = f" (removes {100 * max(one['removes'], 0.0):.0f} % of the squared error)"
+            figure = f" (removes {100 * max(one['removes'], 0.0):.0f} % of the squared error)"
         elif "along_gravity" in one:
-            shown = f" ({100 * one['along_gravity']:.0f} % of the squared error is along gravity)"
-        parts.append(f"{one['cause'].replace('_', ' ')}{shown}: {one['next_test']}")
-    return "; ".join(parts)
+            figure = f" ({100 * one['along_gravity']:.0f} % of the squared error is along gravity)"
+        parts.append(f"{one['cause'].replace('_', ' ')}{figure}: {one['next_test']}")
+    start = "most likely " if _is_clear(hypotheses) else "these data do not tell which one: "
+    return start + "; ".join(parts)
+
+
+def _is_clear(hypotheses: list[dict[str, Any]]) -> bool:
+    """Whether the first hypothesis explains most of the error, and far more than the others."""
+    best, *others = hypotheses
+    if best["cause"] == "joint_zeros":
+        # Links are fitted with the zeros, so they explain nearly as much whatever the cause is.
+        others = [one for one in others if one["cause"] != "geometry"]
+    size = _explained(best)
+    return size >= CLEAR and all(size - _explained(one) >= APART for one in others)
+
+
+def _explained(hypothesis: dict[str, Any]) -> float:
+    """Part of the squared error that a hypothesis explains; 1 for one that is not tested."""
+    return float(hypothesis.get("removes", hypothesis.get("along_gravity", 1.0)))

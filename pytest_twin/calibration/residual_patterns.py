@@ -154,7 +154,7 @@ def _grows_with_reach(found: Residuals) -> dict[str, Any] | None:
         "kind": "grows_with_reach",
         "correlation": correlation,
         "words": "the error grows with reach (rank correlation "
-        f"{correlation:.2f}): a joint's zero or a link's geometry is off",
+        f"{correlation:.2f}): joint zeros, link geometry or compliance",
     }
 
 

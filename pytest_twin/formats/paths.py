@@ -42,7 +42,8 @@ class Roots:
     def folders(self) -> tuple[Path, ...]:
         """Return all roots with links resolved, the base first, those of the command line last."""
         named = declared_inputs()
-        return (self.base, *self.extra, *named.roots, *named.packages.values())
+        listed = (self.base, *self.extra, *named.roots, *named.packages.values())
+        return tuple(dict.fromkeys(listed))
 
     def contains(self, path: Path) -> bool:
         """Whether ``path`` is inside a root after every link is resolved."""

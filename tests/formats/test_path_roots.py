@@ -177,3 +177,10 @@ def test_invalid_utf8_is_reported_with_line_and_column() -> None:
     with pytest.raises(FormatError) as caught:
         decode_text(b"ab\nc\xc3\xa9\x80", Path("x"))
     assert (caught.value.line, caught.value.column) == (2, 3)
+
+
+def test_a_folder_that_is_declared_twice_is_named_once(tmp_path):
+    at = tmp_path / "twin.yaml"
+    with pytest.raises(PathError) as caught:
+        Roots(tmp_path, (tmp_path, tmp_path / ".")).resolve("../other.xml", at=at)
+    assert caught.value.expected.startswith(f"a path inside {tmp_path}; to allow")

@@ -218,7 +218,8 @@ def _solve(
     document["held_out"]["pattern"] = pattern_of(residuals_of(hand, camera, seen, fit, middle))
     document["scene"] = scene_of_streams(plan, hand, camera, seen, fit, middle, held_out)
     document["angular_speeds"] = angular_speeds(hand, camera, fit, middle, found.correlation)
-    suspected = mistakes_of_streams(plan, hand, camera, seen, fit, middle)
+    suspected, change = mistakes_of_streams(plan, hand, camera, seen, fit, middle)
+    document["notes"] += [change] if change else []
     document["suspected"] = [one.to_json() for one in suspected]
     document["reasons"] = [
         *(f"{one.what}; {one.mend}" for one in suspected),

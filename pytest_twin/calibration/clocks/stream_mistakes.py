@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.changed_cell import changed_cell
 from pytest_twin.calibration.clocks.offset import MOST_OFFSET_SPREAD_S, ClockFit, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.closed_form import inverse
@@ -35,10 +36,11 @@ def mistakes_of_streams(
     seen: FloatArray,
     fit: ClockFit,
     middle: float,
-) -> tuple[InputMistake, ...]:
+) -> tuple[tuple[InputMistake, ...], str]:
     """Return mistakes that explain the streams far better, with the checks for poses on one clock.
 
-    The result is empty if the offset is not determined, because poses of different times cannot be
+    The text is a change of the cell that errors of the arm would explain too; empty if there is
+    none. Without an offset the result is empty, because poses of different times cannot be
     compared.
 
     Args:
@@ -49,11 +51,11 @@ def mistakes_of_streams(
         middle: time of the camera's clock at which the offset holds, s.
     """
     if not fit.interval(0) < MOST_OFFSET_SPREAD_S:
-        return ()
+        return (), ""
     rows, time = spread_rows(hand, camera, fit, middle, _POSES)
     carried = hand.at(time)
     observations = Observations(
-        ids=tuple(str(row) for row in rows),
+        ids=tuple(f"at {stamp:.2f} s" for stamp in camera.time[rows]),
         flange=inverse(carried) if hand.is_inverted else carried,
         camera_from_target=inverse(seen[rows]),
     )
@@ -61,18 +63,22 @@ def mistakes_of_streams(
     problem = make_problem(replace(plan, estimate=estimate), observations, None)
     candidates = starts(problem)
     if not candidates:
-        return ()
+        return (), ""
     best = min(candidates.values(), key=lambda state: robust_cost(problem, state))
     found = solve(problem, best)
-    if has_large_errors(errors_of(found.problem, found.state, found.kept).summary(), problem):
+    change = changed_cell(problem, found)
+    if change is not None and not change.may_be_arm:
+        suspected: tuple[InputMistake, ...] = (change.mistake,)
+    elif has_large_errors(errors_of(found.problem, found.state, found.kept).summary(), problem):
         suspected = find_mistakes(found)
     else:
         scale = wrong_scale(found)
         suspected = () if scale is None else (scale,)
-    return tuple(
+    in_words = tuple(
         replace(one, what=_words_of_streams(one.what), mend=_words_of_streams(one.mend))
         for one in suspected
     )
+    return in_words, change.note if change is not None and change.may_be_arm else ""
 
 
 def _words_of_streams(words: str) -> str:

@@ -258,6 +258,22 @@ def test_streams_of_a_target_printed_too_small_are_rejected_with_the_factor(tmp_
     assert found["suspected"][0]["factor"] == pytest.approx(0.97, abs=0.005)
 
 
+def test_a_camera_that_moved_during_the_streams_is_named_with_the_time(tmp_path):
+    write_streams(tmp_path)
+    found = read_stream(tmp_path / "camera.csv.gz")
+    poses = found.poses.copy()
+    later = found.time > 25.0
+    poses[later] = (
+        apply_change(np.eye(4), np.array([0.006, 0.0, 0.0, 0.0, 0.01, 0.0])) @ poses[later]
+    )
+    write_stream(tmp_path / "camera.csv.gz", found.time, poses)
+    status, document = calibrated(tmp_path)
+    assert (status, document["verdict"]) == (1, "rejected")
+    reason = document["reasons"][0]
+    assert "the camera on the flange is elsewhere" in reason
+    assert float(reason.split("from observation at ")[1].split(" s")[0]) == pytest.approx(25, abs=1)
+
+
 def test_a_drift_of_the_clocks_is_estimated_and_noted(tmp_path):
     write_streams(tmp_path, drift=1e-3)
     _, found = calibrated(tmp_path)
