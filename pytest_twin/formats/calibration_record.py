@@ -7,21 +7,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.errors import FormatError
+from pytest_twin.formats import typed
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.record_fields import (
+    UNUSABLE,
     Matrix,
-    covariance,
+    check_square,
     digests,
-    number,
-    numbers,
-    optional_table,
+    field_of,
     read_record,
     standard_deviation,
-    text,
+    unusable,
 )
 
-Transform = tuple[tuple[float, ...], tuple[float, ...] | None]
+Vector = tuple[float, float, float]
+Transform = tuple[Vector, tuple[float, float, float, float] | None]
+_EXPECTED = "calibration.json of pytest-twin calibrate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class Deviation:
 
     joint: str
     is_rotation: bool
-    direction: tuple[float, ...]
+    direction: Vector
     value: float
 
 
@@ -79,12 +80,14 @@ class CalibrationRecord:
     sha256: str
     verdict: str
     joint_zeros: Mapping[str, float]
-    base_world: tuple[tuple[float, ...], tuple[float, ...]] | None
+    base_world: tuple[Vector, tuple[float, float, float, float]] | None
     held_out: Mapping[str, float]
     transforms: Mapping[str, Transform] = field(default_factory=dict)
-    points: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    points: Mapping[str, Vector] = field(default_factory=dict)
     held_out_ids: tuple[str, ...] = ()
-    seen: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    seen: Mapping[str, tuple[float, float, float, float, float, float, float]] = field(
+        default_factory=dict
+    )
     inputs: Mapping[str, str] = field(default_factory=dict)
     frames: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     covariances: Mapping[str, Matrix] = field(default_factory=dict)
@@ -107,92 +110,63 @@ def read_calibration_record(path: Path) -> CalibrationRecord:
         LimitError: beyond ``limits.OBSERVATIONS``.
         FormatError: the content is not what ``pytest-twin calibrate`` writes.
     """
-    content, data = read_record(path, "calibration.json of pytest-twin calibrate")
+    content, data = read_record(path, _EXPECTED)
     try:
-        if content["schema"] != 1:
-            raise KeyError("schema")
         records = content["records"]
-        homes = records.get("encoder_home", {"values": {}})["values"]
-        zeros = {**homes, **records.get("joint_zeros", {"values": {}})["values"]}
-        base = records.get("base_world")
-        together = content.get("covariance", _of_homes(homes))
-        names = tuple(text(name) for name in together["of"])
-        offset = records.get("time_offset")
-        return CalibrationRecord(
-            id=text(content["calibration"]),
-            path=path,
-            sha256=bytes_sha256(data),
-            verdict=text(content["verdict"]),
-            joint_zeros={text(name): number(one["value"]) for name, one in zeros.items()},
-            base_world=None
-            if base is None
-            else (
-                numbers(base["transform"]["xyz"], 3),
-                numbers(base["transform"]["quaternion_wxyz"], 4),
-            ),
-            held_out={
-                name: number(value)
-                for name, value in content["held_out"].items()
-                if name.endswith("_rms")
-            },
-            transforms={
-                text(name): _transform(one["transform"])
-                for name, one in records.items()
-                if "transform" in one
-            },
-            points={
-                text(name): numbers(one["xyz"], 3)
-                for name, one in records.get("points", {"values": {}})["values"].items()
-            },
-            held_out_ids=tuple(text(name) for name in content["held_out"].get("ids", ())),
-            seen={
-                text(name): numbers(one["camera_from_target"], 7)
-                for name, one in content.get("images", {}).items()
-                if "camera_from_target" in one
-            },
-            inputs=digests(content),
-            basis=optional_table(content.get("basis")),
-            frames={
-                text(name): (text(one["parent"]), text(one["child"]))
-                for name, one in records.items()
-                if "transform" in one and "parent" in one
-            },
-            covariances={
-                text(name): covariance(one["covariance"], len(one["covariance_of"]))
-                for name, one in records.items()
-                if "transform" in one and "covariance" in one
-            },
-            covariance_names=names,
-            covariance=covariance(together["matrix"], len(names)),
-            deviations={
-                text(label): Deviation(
-                    text(one["joint"]),
-                    one["kind"] == "rotation",
-                    numbers(one["direction"], 3),
-                    number(one["value"]),
-                )
-                for label, one in records.get("geometry", {"values": {}})["values"].items()
-                if "direction" in one
-            },
-            time_offset=None
-            if offset is None
-            else (number(offset["value"]), standard_deviation(offset["ci95"])),
-            clock_drift=_drift(offset),
-            scale=number(records["scale"]["value"]) if "scale" in records else None,
-            target_scale=number(records.get("target_scale", {"value": 1.0})["value"]),
-            homes={text(name): number(one["sign"]) for name, one in homes.items()},
+        homes, zeros, points, links = (
+            records.get(name, {"values": {}})["values"]
+            for name in ("encoder_home", "joint_zeros", "points", "geometry")
         )
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise FormatError(
-            f"a field is missing or unusable: {error}",
-            path=path,
-            expected="calibration.json of pytest-twin calibrate, schema 1",
-        ) from None
+        poses = {name: entry for name, entry in records.items() if "transform" in entry}
+        together = content.get("covariance", _of_homes(homes))
+        offset = records.get("time_offset")
+        transforms = {name: _transform(entry["transform"]) for name, entry in poses.items()}
+        record = typed.build(
+            {
+                **content,
+                "id": content["calibration"],
+                "path": path,
+                "sha256": bytes_sha256(data),
+                "joint_zeros": {name: v["value"] for name, v in {**homes, **zeros}.items()},
+                "homes": {name: home["sign"] for name, home in homes.items()},
+                "base_world": transforms.get("base_world"),
+                "held_out": {k: v for k, v in content["held_out"].items() if k.endswith("_rms")},
+                "held_out_ids": content["held_out"].get("ids", ()),
+                "transforms": transforms,
+                "points": {name: point["xyz"] for name, point in points.items()},
+                "seen": field_of(content.get("images", {}), "camera_from_target"),
+                "inputs": digests(content),
+                "frames": {
+                    name: (entry["parent"], entry["child"])
+                    for name, entry in poses.items()
+                    if "parent" in entry
+                },
+                "covariances": field_of(poses, "covariance"),
+                "covariance_names": together["of"],
+                "covariance": together["matrix"],
+                "deviations": {
+                    label: {**link, "is_rotation": link["kind"] == "rotation"}
+                    for label, link in links.items()
+                    if "direction" in link
+                },
+                "time_offset": offset and (offset["value"], standard_deviation(offset["ci95"])),
+                "clock_drift": _drift(offset),
+                "scale": records.get("scale", {"value": None})["value"],
+                "target_scale": records.get("target_scale", {"value": 1.0})["value"],
+            },
+            CalibrationRecord,
+        )
+        for name, matrix in record.covariances.items():
+            check_square(matrix, len(records[name]["covariance_of"]))
+        check_square(record.covariance, len(record.covariance_names))
+    except UNUSABLE as error:
+        raise unusable(path, error, _EXPECTED) from None
+    return record
 
 
-def _drift(offset: Mapping[str, Any] | None) -> float:
+def _drift(offset: Mapping[str, Any] | None) -> Any:
     drift = {} if offset is None else offset.get("drift", {})
-    return number(drift["value"]) if drift.get("used") else 0.0
+    return drift["value"] if drift.get("used") else 0.0
 
 
 def _of_homes(homes: Mapping[str, Any]) -> dict[str, Any]:
@@ -203,9 +177,5 @@ def _of_homes(homes: Mapping[str, Any]) -> dict[str, Any]:
     return {"of": [f"joint_zeros.{name}" for name in homes], "matrix": matrix}
 
 
-def _transform(value: Any) -> Transform:
-    quaternion = value["quaternion_wxyz"]
-    return (
-        numbers(value["xyz"], 3),
-        None if quaternion is None else numbers(quaternion, 4),
-    )
+def _transform(value: Mapping[str, Any]) -> tuple[Any, Any]:
+    return value["xyz"], value["quaternion_wxyz"]

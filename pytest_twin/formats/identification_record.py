@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.errors import FormatError
-from pytest_twin.formats import limits
+from pytest_twin.formats import limits, typed
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.record_fields import (
+    UNUSABLE,
     Matrix,
-    covariance,
+    check_square,
     digests,
-    number,
-    optional_table,
+    field_of,
     read_record,
     standard_deviation,
-    text,
+    unusable,
 )
 from pytest_twin.formats.sensor_record import SensorFields, sensor_fields
 
@@ -108,97 +107,54 @@ def read_identification_record(path: Path) -> IdentificationRecord:
     """
     content, data = read_record(path, _EXPECTED)
     try:
-        if content["schema"] != 1:
-            raise KeyError("schema")
         together = content["covariance"]
-        names = tuple(text(name) for name in together["names"])
-        matrix = covariance(together["matrix"], len(names))
         used = {k: v for k, v in content["parameters"].items() if v.get("used", True)}
         filtered = content.get("filter")
-        return IdentificationRecord(
-            id=text(content["identification"]),
-            path=path,
-            sha256=bytes_sha256(data),
-            verdict=text(content["verdict"]),
-            fit=_fit(content["fit"]),
-            stages={text(one["stage"]): text(one["state"]) for one in content["stages"]},
-            values={text(name): number(one["value"]) for name, one in used.items()},
-            covariance_names=names,
-            covariance=matrix,
-            held_out={
-                text(joint): number(one["effort_relative"])
-                for joint, one in content["held_out"].items()
-                if "effort_relative" in one
+        record = typed.build(
+            {
+                **content,
+                "id": content["identification"],
+                "path": path,
+                "sha256": bytes_sha256(data),
+                "stages": {stage["stage"]: stage["state"] for stage in content["stages"]},
+                "values": {name: entry["value"] for name, entry in used.items()},
+                "units": field_of(used, "unit"),
+                "deviations": {
+                    name: standard_deviation(interval)
+                    for name, interval in field_of(used, "ci95").items()
+                },
+                "covariance_names": together["names"],
+                "covariance": together["matrix"],
+                "held_out": field_of(content["held_out"], "effort_relative"),
+                "position_rms": field_of(content["held_out"], "position_rms"),
+                "recordings": content["trials"]["held_out"],
+                "filter": filtered and [filtered[key] for key in ("cutoff", "parallel", "rate")],
+                "inputs": digests(content),
+                "sensors": (),
             },
-            recordings=tuple(text(name) for name in content["trials"]["held_out"]),
-            filter=None
-            if filtered is None
-            else (
-                number(filtered["cutoff"]),
-                number(filtered["parallel"]),
-                number(filtered["rate"]),
-            ),
-            inputs=digests(content),
-            basis=optional_table(content.get("basis")),
-            units={text(name): text(one["unit"]) for name, one in used.items() if "unit" in one},
-            deviations={
-                text(name): standard_deviation(one["ci95"])
-                for name, one in used.items()
-                if "ci95" in one
-            },
-            without_effort=tuple(text(joint) for joint in content.get("without_effort", ())),
-            position_rms={
-                text(joint): number(one["position_rms"])
-                for joint, one in content["held_out"].items()
-                if "position_rms" in one
-            },
-            sensors=tuple(
-                sensor_fields(text(name), one) for name, one in content.get("sensors", {}).items()
-            ),
-            encoder_steps={
-                text(joint): number(step)
-                for joint, step in content.get("encoder_steps", {}).items()
-            },
-            encoders={
-                text(joint): EncoderChange(_encoder(one["before"]), _encoder(one["after"]))
-                for joint, one in content.get("encoders", {}).items()
-            },
-            drive_gains={
-                text(joint): _positive(gain)
-                for joint, gain in content.get("drive_gains", {}).items()
-            },
+            IdentificationRecord,
         )
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise FormatError(
-            f"a field is missing or unusable: {error}", path=path, expected=f"{_EXPECTED}, schema 1"
-        ) from None
+        _check(record)
+        sensors = (sensor_fields(*item) for item in content.get("sensors", {}).items())
+        return replace(record, sensors=tuple(sensors))
+    except UNUSABLE as error:
+        raise unusable(path, error, _EXPECTED) from None
 
 
-def _positive(value: Any) -> float:
-    if not number(value) > 0.0:
-        raise ValueError(f"{value!r} is not positive")
-    return number(value)
-
-
-def _encoder(value: Mapping[str, Any]) -> Mapping[str, float]:
-    found = {key: number(value[key]) for key in ("offset", "sign", "scale")}
-    if abs(found["sign"]) != 1.0 or not found["scale"] > 0.0:
-        raise ValueError("encoders: a sign that is not 1 or -1, or a scale that is not positive")
-    return found
-
-
-def _fit(value: Any) -> FittedAttributes:
-    if not set(value) <= set(_FAMILIES):
+def _check(record: IdentificationRecord) -> None:
+    check_square(record.covariance, len(record.covariance_names))
+    if not set(record.fit) <= set(_FAMILIES):
         raise ValueError("fit")
-    if sum(len(own) for own in value.values()) > limits.OBSERVATIONS.name_chars:
+    if sum(map(len, record.fit.values())) > limits.OBSERVATIONS.name_chars:
         raise ValueError("fit: too many elements")
-    return {
-        family: {
-            text(name): {
-                text(key): tuple(number(v) for v in one) if isinstance(one, list) else number(one)
-                for key, one in patch.items()
-            }
-            for name, patch in own.items()
-        }
-        for family, own in value.items()
-    }
+    for gain in record.drive_gains.values():
+        if not gain > 0.0:
+            raise ValueError(f"{gain!r} is not positive")
+    for change in record.encoders.values():
+        for encoder in (change.before, change.after):
+            if set(encoder) != {"offset", "sign", "scale"}:
+                raise ValueError("encoders: not offset, sign and scale")
+            if abs(encoder["sign"]) != 1.0 or not encoder["scale"] > 0.0:
+                raise ValueError(
+                    "encoders: a sign that is not 1 or -1, or a scale that is not positive"
+                )

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from pytest_twin.errors import FormatError
 from pytest_twin.formats import limits
@@ -14,6 +13,8 @@ from pytest_twin.formats.paths import decode_text, read_bytes
 Matrix = tuple[tuple[float, ...], ...]
 Z95 = 1.959964
 """Half-width of the 95 % interval of a normal distribution, in standard deviations."""
+UNUSABLE = (KeyError, TypeError, AttributeError, ValueError)
+"""What reading a field of an unexpected record raises."""
 
 
 def read_record(path: Path, expected: str) -> tuple[Any, bytes]:
@@ -22,93 +23,54 @@ def read_record(path: Path, expected: str) -> tuple[Any, bytes]:
     Raises:
         PathError: missing, a link, or no regular file.
         LimitError: beyond ``limits.OBSERVATIONS``.
-        FormatError: not JSON.
+        FormatError: not JSON, not schema 1, or a number that is not finite.
     """
+    import msgspec
+
     data = read_bytes(path, limits.OBSERVATIONS.file_bytes)
     try:
-        return json.loads(decode_text(data, path), parse_constant=_refuse), data
+        content = msgspec.json.decode(decode_text(data, path))
     except (ValueError, RecursionError):
         raise FormatError("not JSON", path=path, expected=expected) from None
+    if not isinstance(content, dict) or content.get("schema") != 1:
+        raise unusable(path, "'schema'", expected)
+    return content, data
 
 
-def text(value: Any) -> str:
-    """Return ``value`` if it is a non-empty text.
-
-    Raises:
-        ValueError: ``value`` is anything else.
-    """
-    if not isinstance(value, str) or not value or len(value) > limits.OBSERVATIONS.name_chars:
-        raise ValueError("a name")
-    return value
+def unusable(path: Path, problem: object, expected: str) -> FormatError:
+    """Return the error of a field that is missing, or that is not what the command writes."""
+    return FormatError(
+        f"a field is missing or unusable: {problem}", path=path, expected=f"{expected}, schema 1"
+    )
 
 
-def number(value: Any) -> float:
-    """Return ``value`` as a finite float.
-
-    Raises:
-        ValueError: ``value`` is anything else.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{value!r} is not a finite number")
-    return float(value)
+def field_of(entries: Mapping[str, Mapping[str, Any]], name: str) -> dict[str, Any]:
+    """Return key -> field ``name``, of those entries that have it."""
+    return {key: entry[name] for key, entry in entries.items() if name in entry}
 
 
-def numbers(values: Any, count: int) -> tuple[float, ...]:
-    """Return ``values`` as ``count`` finite floats.
+def digests(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return input file of a record -> SHA-256, hex."""
+    return {name: stated["sha256"] for name, stated in content.get("inputs", {}).items()}
+
+
+def check_square(rows: Matrix, size: int) -> None:
+    """Check the size of a covariance.
 
     Raises:
-        ValueError: ``values`` is anything else.
+        ValueError: it is not (size, size).
     """
-    if not isinstance(values, list) or len(values) != count:
-        raise ValueError(f"not {count} numbers")
-    return tuple(number(value) for value in values)
-
-
-def covariance(rows: Any, size: int) -> Matrix:
-    """Return a square matrix of finite numbers, (size, size).
-
-    Raises:
-        ValueError: ``rows`` is anything else.
-    """
-    if not isinstance(rows, list) or len(rows) != size:
-        raise ValueError(f"covariance: not {size} rows")
-    try:
-        return tuple(numbers(row, size) for row in rows)
-    except ValueError as error:
-        raise ValueError(f"covariance: {error}") from None
-
-
-def optional_table(value: Any) -> dict[str, Any] | None:
-    """Return ``value`` if it is a table or None.
-
-    Raises:
-        ValueError: ``value`` is anything else.
-    """
-    if value is not None and not isinstance(value, dict):
-        raise ValueError(f"{value!r} is not a table")
-    return value
-
-
-def digests(content: Any) -> dict[str, str]:
-    """Return input file of a record -> SHA-256, hex.
-
-    Raises:
-        ValueError, KeyError, TypeError, AttributeError: the record lacks valid digests.
-    """
-    return {text(name): text(one["sha256"]) for name, one in content.get("inputs", {}).items()}
+    if [len(row) for row in rows] != [size] * size:
+        raise ValueError(f"covariance: not {size} rows of {size} numbers")
 
 
 def standard_deviation(ci95: Any) -> float:
     """Return the standard deviation of a normal distribution from its 95 % interval.
 
     Raises:
-        ValueError: ``ci95`` is not an interval.
+        ValueError, TypeError: ``ci95`` is not an interval.
     """
-    low, high = numbers(ci95, 2)
-    if high < low:
+    low, high = ci95
+    if not low <= high:
         raise ValueError(f"{ci95!r} is not an interval")
-    return (high - low) / (2.0 * Z95)
-
-
-def _refuse(word: str) -> NoReturn:
-    raise ValueError(word)
+    return float(high - low) / (2.0 * Z95)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.errors import FormatError
-from pytest_twin.formats.record_fields import optional_table, read_record
+from pytest_twin.formats import typed
+from pytest_twin.formats.record_fields import read_record, unusable
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +37,10 @@ def read_result_record(path: Path) -> ResultRecord:
         LimitError: beyond ``limits.OBSERVATIONS``.
         FormatError: not what the command writes.
     """
-    expected = f"{path.name} of pytest-twin, schema 1"
+    expected = f"{path.name} of pytest-twin"
     content, _ = read_record(path, expected)
+    own = {"id": f"{path.parent.name}/{path.name}", "path": path, "basis": content.get("basis")}
     try:
-        if content["schema"] != 1:
-            raise ValueError("schema")
-        basis = optional_table(content.get("basis"))
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise FormatError(
-            f"a field is missing or unusable: {error}", path=path, expected=expected
-        ) from None
-    return ResultRecord(f"{path.parent.name}/{path.name}", path, basis)
+        return typed.build(own, ResultRecord)
+    except ValueError as error:
+        raise unusable(path, error, expected) from None

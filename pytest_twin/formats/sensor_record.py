@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
-from pytest_twin.formats.record_fields import Matrix, number, numbers, text
+from pytest_twin.formats import typed
+from pytest_twin.formats.record_fields import Matrix
 
 FORCE_TORQUE, IMU, JOINT_TORQUE, CAMERA = "force_torque", "imu", "joint_torque", "camera"
 GROUPS: Mapping[str, tuple[int, ...]] = {FORCE_TORQUE: (6,), IMU: (3, 3), JOINT_TORQUE: (1,)}
 """Kind -> number of channels in each block with a calibration matrix of its own."""
+_CAMERA_FIELDS = frozenset({"delay", "period", "jitter", "lost", "mount"})
+_CHANNEL_FIELDS = frozenset({"matrix", "bias", "time_constant", "limit"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,7 @@ class SensorFields:
     """
 
     name: str
-    kind: str
+    kind: Literal["force_torque", "imu", "joint_torque", "camera"]
     topic: str
     frame: str
     matrix: tuple[Matrix, ...] = ()
@@ -42,7 +45,7 @@ class SensorFields:
     period: float = 0.0
     jitter: float = 0.0
     lost: float = 0.0
-    mount: str = "world"
+    mount: Literal["hand", "world"] = "world"
 
 
 def sensor_fields(name: str, one: Mapping[str, Any]) -> SensorFields:
@@ -52,34 +55,17 @@ def sensor_fields(name: str, one: Mapping[str, Any]) -> SensorFields:
         ValueError, KeyError, TypeError, AttributeError: the fields are not what
             ``pytest-twin identify`` writes.
     """
-    kind = text(one["kind"])
-    topic, frame = text(one["topic"]), text(one["frame"])
-    if kind == CAMERA:
-        if one["mount"] not in ("hand", "world"):
-            raise ValueError(f"mount {one['mount']!r}")
-        return SensorFields(
-            name, kind, topic, frame, delay=number(one["delay"]), period=number(one["period"]),
-            jitter=number(one["jitter"]), lost=number(one["lost"]), mount=one["mount"],
-        )  # fmt: skip
-    if kind not in GROUPS:
-        raise ValueError(f"kind of sensor {kind!r}")
-    groups = GROUPS[kind]
-    matrices, biases = list(one["matrix"]), list(one["bias"])
-    if len(matrices) != len(groups) or len(biases) != len(groups):
-        raise ValueError(f"not {len(groups)} blocks")
-    for rows, size in zip(matrices, groups, strict=True):
-        if not isinstance(rows, list) or len(rows) != size:
-            raise ValueError(f"matrix: not {size} rows")
-    limits = list(one["limit"])
-    if len(limits) != sum(groups):
-        raise ValueError(f"not {sum(groups)} limits")
-    return SensorFields(
-        name, kind, topic, frame,
-        matrix=tuple(
-            tuple(numbers(row, size) for row in rows)
-            for rows, size in zip(matrices, groups, strict=True)
-        ),
-        bias=tuple(numbers(row, size) for row, size in zip(biases, groups, strict=True)),
-        time_constant=number(one["time_constant"]),
-        limit=tuple(None if v is None else number(v) for v in limits),
-    )  # fmt: skip
+    sensor = typed.build({**one, "name": name}, SensorFields)
+    missing = (_CAMERA_FIELDS if sensor.kind == CAMERA else _CHANNEL_FIELDS) - set(one)
+    if missing:
+        raise KeyError(min(missing))
+    if sensor.kind == CAMERA:
+        return sensor
+    sizes = GROUPS[sensor.kind]
+    found = tuple(len(rows) for rows in sensor.matrix)
+    rows_fit = all(len(row) == len(rows) for rows in sensor.matrix for row in rows)
+    if found != sizes or not rows_fit or tuple(map(len, sensor.bias)) != sizes:
+        raise ValueError(f"matrix and bias: not {len(sizes)} blocks of {sizes[0]} channels")
+    if len(sensor.limit) != sum(sizes):
+        raise ValueError(f"not {sum(sizes)} limits")
+    return sensor

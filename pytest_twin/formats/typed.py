@@ -30,6 +30,6 @@ def plain(value: object) -> Any:
 
 
 def _of_text(kind: type, value: Any) -> Any:
-    if kind is not Path or not isinstance(value, str):
-        raise NotImplementedError(kind)
+    if kind is not Path or not isinstance(value, str | Path):
+        raise ValueError(f"Expected `{kind.__name__}`, got {value!r}")
     return Path(value)
