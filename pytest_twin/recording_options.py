@@ -29,6 +29,8 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 COMMAND_MODES: tuple[CommandMode, ...] = get_args(CommandMode)
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
 COMMAND_BETWEEN: tuple[CommandBetween, ...] = get_args(CommandBetween)
+LONGEST_PERIOD = 1.0
+"""Longest period of a controller, s."""
 BASES: tuple[Base, ...] = get_args(Base)
 UNITS: tuple[Units, ...] = get_args(Units)
 TIME_UNITS: tuple[TimeUnit, ...] = get_args(TimeUnit)
@@ -85,6 +87,8 @@ class RecordingOptions:
         clock: which time stamps to use.
         command_between: course of a command between two stamps; overrides the recording.
         command_between_default: the same for recordings whose metadata do not state it.
+        controller_period: s for which a controller holds each setpoint of a trajectory; overrides
+            the recording's metadata.
         columns: CSV files: header -> meaning of the column, or the reverse.
         units: unit of the angles, where the recording states none or a wrong one.
         time_unit: CSV files: unit of the times.
@@ -98,6 +102,7 @@ class RecordingOptions:
     clock: Clock | None = None
     command_between: CommandBetween | None = None
     command_between_default: CommandBetween | None = None
+    controller_period: float | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Units | None = None
     time_unit: TimeUnit | None = None

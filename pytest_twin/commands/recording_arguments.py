@@ -11,6 +11,7 @@ from typing import Any, Literal
 from pytest_twin.formats.base_pose import ROLE
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.recording_options import (
+    LONGEST_PERIOD,
     BASES,
     CLOCKS,
     COMMAND_BETWEEN,
@@ -24,8 +25,8 @@ RECORDING_HELP = (
     "MCAP file, rosbag2 folder, .db3 file, CSV file, or the folder of a LeRobot data set"
 )
 _OPTIONS = (
-    "topics", "joints", "command_mode", "clock", "command_between", "base", "columns", "units",
-    "time_unit", "motor_calibration",
+    "topics", "joints", "command_mode", "clock", "command_between", "controller_period", "base",
+    "columns", "units", "time_unit", "motor_calibration",
 )  # fmt: skip
 
 
@@ -86,6 +87,14 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         help="how a command changes between two stamps: held until the next, interpolated to the "
         "next, or ramped to the next within one period (default: as the recording's metadata or "
         "twin.yaml states, else held)",
+    )
+    group.add_argument(
+        "--controller-period",
+        metavar="SECONDS",
+        type=parse_period,
+        help="update period of a controller that plays trajectories and holds each setpoint for it: "
+        "0.008, for example (default: the trial's metadata or twin.yaml, else the setpoint moves on "
+        "continuously, with a note)",
     )
     group.add_argument(
         "--base",
@@ -158,6 +167,7 @@ def recording_options(args: argparse.Namespace) -> dict[str, Any]:
         "command_mode": args.command_mode,
         "clock": args.clock,
         "command_between": args.command_between,
+        "controller_period": args.controller_period,
         **reading_options(args),
         "base": args.base,
     }
@@ -182,6 +192,19 @@ def options_as_typed(args: argparse.Namespace) -> str:
             w for value in getattr(args, name, []) for w in (f"--{name}", shlex.quote(str(value)))
         ]
     return "".join(f" {word}" for word in words)
+
+
+def parse_period(text: str) -> float:
+    """Parse a period in s, such as 0.008, of a command line."""
+    try:
+        period = float(text)
+    except ValueError:
+        period = 0.0
+    if not 0.0 < period <= LONGEST_PERIOD:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected a period in s, more than 0 and at most {LONGEST_PERIOD:g}"
+        )
+    return period
 
 
 def parse_topics(text: str) -> dict[str, str]:

@@ -30,6 +30,7 @@ from pytest_twin.trial.command_span import (
     within_commands,
     without_other_modes,
 )
+from pytest_twin.trial.controller_period import held_by_controller, period_note, period_of
 from pytest_twin.trial.dropouts import without_dropouts
 from pytest_twin.trial.floating_base import check_floating_base, is_floating
 from pytest_twin.trial.gaps import stretches
@@ -137,6 +138,9 @@ def _whole(
     commanded = commands_at_joints(commanded, options.signals, commands.topic, recording.path)
     notes += [*clocked.notes, *commanded.notes]
     between, source = _between(recording, options)
+    period = period_of(recording, options) if commands.from_trajectories else None
+    if commands.from_trajectories and period is None:
+        notes.append(period_note(recording))
     trials: list[Trial] = []
     since = 0.0
     for piece in clocked.pieces:
@@ -155,6 +159,8 @@ def _whole(
             trial, base=base, notes=own, command_between=between, between_source=source,
             offset=since, parts=len(clocked.pieces), unnamed=frozenset(unnamed),
         )  # fmt: skip
+        if period is not None:
+            whole = held_by_controller(whole, period)
         trials += without_other_modes(whole, maker.other_modes)
         since += trial.duration
     return trials
