@@ -11,11 +11,11 @@ from typing import Any, Literal
 from pytest_twin.formats.base_pose import ROLE
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.recording_options import (
-    LONGEST_PERIOD,
     BASES,
     CLOCKS,
     COMMAND_BETWEEN,
     COMMAND_MODES,
+    LONGEST_PERIOD,
     TIME_UNITS,
     UNITS,
     CommandMode,
@@ -92,9 +92,9 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "--controller-period",
         metavar="SECONDS",
         type=parse_period,
-        help="update period of a controller that plays trajectories and holds each setpoint for it: "
-        "0.008, for example (default: the trial's metadata or twin.yaml, else the setpoint moves on "
-        "continuously, with a note)",
+        help="update period of a controller that plays trajectories and holds each setpoint for "
+        "it: 0.008, for example (default: the trial's metadata or twin.yaml, else the setpoint "
+        "moves on continuously, with a note)",
     )
     group.add_argument(
         "--base",

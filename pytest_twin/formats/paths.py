@@ -20,6 +20,9 @@ _POINTER, _POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 1024
 (https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md)."""
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
 
+_PACKAGE = "package.xml"
+"""File that marks the folder of a ROS package."""
+
 
 @dataclass(frozen=True)
 class Roots:
@@ -121,8 +124,12 @@ class Roots:
     def _outside(self, reference: str, at: Path, folder: bool) -> tuple[str, str]:
         """Return the problem of a reference outside the roots, and the option that allows it."""
         inside = "a path inside " + " or ".join(str(root) for root in self.folders)
-        real = os.path.realpath(at.parent / reference)
-        wanted = real if folder else os.path.dirname(real)  # noqa: PTH120 - text, as realpath returns
+        real = Path(os.path.realpath(at.parent / reference))
+        wanted = real if folder else real.parent
+        # The folder of a mesh rarely suffices: textures and other meshes are beside it.
+        # A hostile name may be too long for the system, which os.path takes as missing.
+        package = (one for one in real.parents if os.path.isfile(one / _PACKAGE))  # noqa: PTH113
+        wanted = next(package, wanted)
         return (
             "path leaves the declared roots",
             f"{inside}; to allow that folder: --root {wanted} on the command line, or "

@@ -184,3 +184,16 @@ def test_a_folder_that_is_declared_twice_is_named_once(tmp_path):
     with pytest.raises(PathError) as caught:
         Roots(tmp_path, (tmp_path, tmp_path / ".")).resolve("../other.xml", at=at)
     assert caught.value.expected.startswith(f"a path inside {tmp_path}; to allow")
+
+
+def test_the_option_that_is_proposed_names_the_package(twin: Path) -> None:
+    """One mesh is rarely the last: the package has its textures and the other meshes."""
+    meshes = twin.parent / "arm_description" / "meshes" / "visual"
+    meshes.mkdir(parents=True)
+    (meshes / "a.stl").write_text("a")
+    (meshes.parents[1] / "package.xml").write_text("<package/>")
+    with pytest.raises(PathError) as caught:
+        resolve(twin, "../arm_description/meshes/visual/a.stl")
+    assert f"--root {meshes.parents[1]} on the command line" in str(caught.value)
+    with pytest.raises(PathError, match="leaves the declared roots"):
+        resolve(twin, f"../{'a' * 300}/b.stl")
