@@ -127,8 +127,7 @@ class Roots:
         real = Path(os.path.realpath(at.parent / reference))
         wanted = real if folder else real.parent
         # The folder of a mesh rarely suffices: textures and other meshes are beside it.
-        # A hostile name may be too long for the system, which os.path takes as missing.
-        package = (one for one in real.parents if os.path.isfile(one / _PACKAGE))  # noqa: PTH113
+        package = (one for one in real.parents if (one / _PACKAGE).is_file())
         wanted = next(package, wanted)
         return (
             "path leaves the declared roots",

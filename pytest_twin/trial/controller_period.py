@@ -81,8 +81,8 @@ def period_note(recording: Recording) -> str:
     note = (
         f"{topic}: the setpoint of trajectories is taken to move on continuously; a controller "
         "that holds it for its update period moves the joints half a period later, which looks "
-        "like a delay: --controller-period SECONDS, or controller_period in twin.yaml or in the trial's "
-        "metadata"
+        "like a delay: --controller-period SECONDS, or controller_period in twin.yaml or in the "
+        "trial's metadata"
     )
     states = [one.name for one in recording.topics if _STATE in one.type]
     if states:
