@@ -100,6 +100,8 @@ class JointSignals:
             slide); negative where they turn in opposite directions.
         zero: position of the joint where the motor's encoder reads zero, rad or m.
         shared: the coupling with another joint, or None.
+        checked: whether a person checked sign, unit, side and gear: a suspected mistake of them is
+            reported, and rejects nothing.
     """
 
     position: PositionSignal = field(default_factory=PositionSignal)
@@ -107,6 +109,7 @@ class JointSignals:
     gear: float = 1.0
     zero: float = 0.0
     shared: CoupledJoint | None = None
+    checked: bool = False
 
     @property
     def filter_cutoff(self) -> float | None:
@@ -164,6 +167,7 @@ def _joint(own: Mapping[str, Any], default: Mapping[str, Any]) -> JointSignals:
         effort=EffortSignal(**{**default.get("effort", {}), **own.get("effort", {})}),
         gear=float(merged.get("gear", 1.0)),
         zero=float(merged.get("zero", 0.0)),
+        checked=bool(merged.get("checked", False)),
         shared=None
         if shared is None
         else CoupledJoint(str(shared["joint"]), float(shared.get("ratio", 1.0))),

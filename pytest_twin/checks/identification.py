@@ -89,7 +89,13 @@ class IdentificationCheck(Check):
         progress(1.0)
         return Observation(
             {
-                "joints": {joint: asdict(one) for joint, one in found.items()},
+                "joints": {
+                    joint: {
+                        **asdict(one),
+                        "slide": realization.structure.joint_type[joint] == "slide",
+                    }
+                    for joint, one in found.items()
+                },
                 "recorded": dict(record.held_out),
             }
         )

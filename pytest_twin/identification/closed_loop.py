@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.patched.model import read_patched_model
+from pytest_twin.diagnosis.patched.model import AppliedEffect, read_patched_model
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import TwinError
@@ -21,7 +21,7 @@ from pytest_twin.identification.effort.servo_gains import ServoGains
 from pytest_twin.identification.fit_patches import Patches
 from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
-from pytest_twin.identification.write import write_fitted
+from pytest_twin.identification.write import add_effects, write_fitted
 from pytest_twin.metrics.joint_frequency import effort_response
 from pytest_twin.metrics.residual import residual
 from pytest_twin.realization import Realization
@@ -106,6 +106,11 @@ def close_loop(
         servos = _with_gains(
             nominal, fit, encoders, gains, trials, _new_folder(folder, "servo_gains")
         )
+        if any(one.is_late for one in gains):
+            late = _with_delays(
+                nominal, servos, gains, trials, _new_folder(folder, "command_delays")
+            )
+            servos = late if servos.has_larger_error_than(late) else servos
         if best.has_larger_error_than(servos):
             best = servos
         else:
@@ -151,6 +156,37 @@ def _with_gains(
         excludes="weights, inertias and friction are given; a delay of the command was free",
     )
     return ClosedLoop(folder, patches, positions, stage, parameters)
+
+
+def _with_delays(
+    nominal: Realization,
+    servos: ClosedLoop,
+    gains: Sequence[ServoGains],
+    trials: Sequence[Trial] | TwinError,
+    folder: Path,
+) -> ClosedLoop:
+    """Return the model with fitted servos whose commands act late."""
+    held = not isinstance(trials, TwinError) and trials[0].command_between == "held"
+    late = [one for one in gains if one.is_late]
+    shutil.copytree(servos.folder, folder, dirs_exist_ok=True)
+    joints = tuple(nominal.joints)
+    add_effects(folder, joints, [
+        AppliedEffect("command_delay", one.joint, {"delay": one.command_delay(held)},
+                      is_in_mjcf=False)
+        for one in late
+    ])  # fmt: skip
+    positions, stage = compare_simulations(nominal, load_written(folder), trials)
+    words = ", ".join(f"{one.joint} {1e3 * one.command_delay(held):.3g} ms" for one in late)
+    parameters = {name: one for each in late for name, one in each.delay_parameter(held).items()}
+    stage = replace(
+        stage,
+        why=f"commands act late, from effort and tracking error: {words}; servo stiffness: "
+        f"{', '.join(one.words for one in gains)}; {stage.why}",
+        parameters=(*servos.stage.parameters, *parameters),
+        excludes="weights, inertias and friction are given",
+    )
+    parameters = {**servos.parameters, **parameters}
+    return replace(servos, folder=folder, positions=positions, stage=stage, parameters=parameters)
 
 
 def _with_drives(
@@ -258,6 +294,26 @@ def compare_simulations(
     )  # fmt: skip
     why = "open-loop simulation under the recorded commands"
     return found, judge_stage(Stage("closed_loop", "accepted", why, (), None, _EXCLUDES), held)
+
+
+def with_command_delays(stages: Sequence[Stage], loop: ClosedLoop) -> tuple[Stage, ...]:
+    """Return the stages with the command delays of the closed loop in the stage ``delay``."""
+    late = [name for name in loop.parameters if ".command_delay" in name]
+    if not late:
+        return tuple(stages)
+    values = (f"{name} {1e3 * loop.parameters[name]['value']:.3g} ms" for name in late)
+    found = f"commands act late: {', '.join(values)}; {loop.stage.why}"
+    return tuple(
+        replace(
+            one,
+            state="accepted",
+            why=found if one.state == "not_observable" else f"{one.why}; {found}",
+            parameters=(*one.parameters, *late),
+        )
+        if one.name == "delay" and loop.stage.state == "accepted"
+        else one
+        for one in stages
+    )
 
 
 def effort_responses(recordings: Sequence[MeasuredRecording]) -> list[dict[str, Any]]:

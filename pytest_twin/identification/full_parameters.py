@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize
 
 from pytest_twin.arrays import FloatArray
@@ -24,9 +25,11 @@ _PRIOR_STD = 0.3
 or radius of gyration. CAD models lack about this much in cables, motors and covers."""
 _LIGHTEST = 1e-6
 """Smallest mass of a body, kg. Lighter bodies of a model are frames only."""
+_SETTLED = 1e-6
+"""Relative change of cost and parameters at which the fit ends."""
 _OFF_BOUND = 1e-4
 """Distance of initial values from their bounds, SI units, so that the solver can move them."""
-_NOT_NEGATIVE = frozenset({"armature", "viscous_friction", "coulomb_friction", "effort_scale"})
+NOT_NEGATIVE = frozenset({"armature", "viscous_friction", "coulomb_friction", "effort_scale"})
 _PINOCCHIO = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _ROWS = np.array([0, 1, 2, 3, 1, 2, 2, 3, 3, 3])
 _COLUMNS = np.array([0, 1, 2, 3, 0, 0, 1, 0, 1, 2])
@@ -41,14 +44,12 @@ class FullParameters:
     Attributes:
         parameters: (p,) parameters of all columns.
         is_consistent: whether every inertia is physical and no friction or armature is negative.
-        violations: one line for each unphysical value of the unconstrained estimate.
         cost: increase of the weighted sum of squares against the unconstrained estimate, per base
             parameter.
     """
 
     parameters: FloatArray
     is_consistent: bool
-    violations: tuple[str, ...]
     cost: float
 
 
@@ -58,6 +59,7 @@ def fit_full_parameters(
     combination: FloatArray,
     base: FloatArray,
     information: FloatArray,
+    fixed: NDArray[np.bool_],
 ) -> FullParameters:
     """Return the full parameters nearest to the nominal ones that agree with the data.
 
@@ -67,15 +69,21 @@ def fit_full_parameters(
         combination: (b, p) matrix from full to base parameters.
         base: (b,) estimated base parameters.
         information: (b, b) inverse covariance of the base parameters.
+        fixed: (p,) True for parameters that keep the values of ``prior``. A link is fixed as a
+            whole.
     """
-    links = _links(columns, prior)
-    others = np.array([i for i, c in enumerate(columns) if not c.is_inertial], dtype=np.intp)
+    links = [link for link in _links(columns, prior) if not fixed[link.at]]
+    others = np.array(
+        [i for i, c in enumerate(columns) if not c.is_inertial and not fixed[i]], dtype=np.intp
+    )
     root = _root(information)
     size = 10 * len(links)
     lower = np.concatenate([
         np.full(size, -np.inf),
-        [0.0 if columns[i].kind in _NOT_NEGATIVE else -np.inf for i in others],
+        [0.0 if columns[i].kind in NOT_NEGATIVE else -np.inf for i in others],
     ])  # fmt: skip
+    of_full = root @ combination
+    measured = root @ base
 
     def whole(x: FloatArray) -> FloatArray:
         out = prior.copy()
@@ -85,38 +93,39 @@ def fit_full_parameters(
         return out
 
     def residual(x: FloatArray) -> FloatArray:
-        off = root @ (combination @ whole(x) - base)
-        return np.concatenate([off, x[:size] / _PRIOR_STD])
+        return np.concatenate([of_full @ whole(x) - measured, x[:size] / _PRIOR_STD])
 
     def slope(x: FloatArray) -> FloatArray:
-        change = np.zeros((len(columns), len(x)))
+        top = np.empty((len(root), len(x)))
         for k, link in enumerate(links):
             at = slice(10 * k, 10 * k + 10)
-            change[link.at : link.at + 10, at] = link.slope(x[at])
-        change[others, size + np.arange(len(others))] = 1.0
-        top = root @ combination @ change
+            top[:, at] = of_full[:, link.at : link.at + 10] @ link.slope(x[at])
+        top[:, size:] = of_full[:, others]
         bottom = np.zeros((size, len(x)))
         bottom[:, :size] = np.eye(size) / _PRIOR_STD
         return np.concatenate([top, bottom])
 
-    # The drive parameters are linear. Their solution, moved off the bounds, is the initial value.
-    bodies = prior.copy()
-    bodies[others] = 0.0
-    drives = optimize.lsq_linear(
-        root @ combination[:, others],
-        root @ (base - combination @ bodies),
-        (lower[size:], np.inf),
-    ).x
-    start = np.concatenate([np.zeros(size), np.maximum(drives, lower[size:] + _OFF_BOUND)])
-    found = optimize.least_squares(
-        residual, start, slope, bounds=(lower, np.inf), x_scale="jac", max_nfev=200
-    )
-    values = whole(found.x)
-    off = root @ (combination @ values - base)
+    if not len(lower):
+        values = prior.copy()
+    else:
+        # The drive parameters are linear. Their solution, moved off the bounds, is the start.
+        bodies = prior.copy()
+        bodies[others] = 0.0
+        drives = lower[size:]
+        if len(others):
+            drives = optimize.lsq_linear(
+                of_full[:, others], measured - of_full @ bodies, (lower[size:], np.inf)
+            ).x
+        start = np.concatenate([np.zeros(size), np.maximum(drives, lower[size:] + _OFF_BOUND)])
+        found = optimize.least_squares(
+            residual, start, slope, bounds=(lower, np.inf), x_scale="jac",
+            ftol=_SETTLED, xtol=_SETTLED, max_nfev=200,
+        )  # fmt: skip
+        values = whole(found.x)
+    off = of_full @ values - measured
     return FullParameters(
         parameters=values,
         is_consistent=_is_consistent(columns, values),
-        violations=tuple(_violations(columns, combination, base)),
         cost=float(off @ off) / max(len(base), 1),
     )
 
@@ -141,14 +150,12 @@ class LinkInertia:
     def slope(self, x: FloatArray) -> FloatArray:
         """(10, 10) derivative of the parameters by the coordinates."""
         triangle = self.root @ _triangle(x)
-        columns = []
-        for k in range(10):
-            row, column = _ROWS[k], _COLUMNS[k]
-            size = np.exp(x[k]) if k < 4 else 1.0
-            # The derivative of J by one entry of U has rank two.
-            half = size * np.outer(self.root[:, row], triangle[:, column])
-            columns.append(_of_pseudo(half + half.T))
-        return np.array(columns).T
+        size = np.concatenate([np.exp(x[:4]), np.ones(6)])
+        # The derivative of J by one entry of U has rank two.
+        half = size[:, None, None] * (
+            self.root[:, _ROWS].T[:, :, None] * triangle[:, _COLUMNS].T[:, None, :]
+        )
+        return _of_pseudo(half + half.swapaxes(1, 2)).T
 
 
 def _triangle(x: FloatArray) -> FloatArray:
@@ -160,15 +167,15 @@ def _triangle(x: FloatArray) -> FloatArray:
 
 
 def _of_pseudo(matrix: FloatArray) -> FloatArray:
-    """(10,) parameters in the order of ``INERTIAL``; the inverse of :func:`pseudo_inertia`."""
-    sigma, moment, mass = matrix[:3, :3], matrix[:3, 3], matrix[3, 3]
-    tensor = np.trace(sigma) * np.eye(3) - sigma
+    """(..., 10) parameters in the order of ``INERTIAL``; inverse of :func:`pseudo_inertia`."""
+    sigma = matrix[..., :3, :3]
+    tensor = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
     named = {
-        "Ixx": tensor[0, 0], "Ixy": tensor[0, 1], "Ixz": tensor[0, 2], "Iyy": tensor[1, 1],
-        "Iyz": tensor[1, 2], "Izz": tensor[2, 2], "mx": moment[0], "my": moment[1],
-        "mz": moment[2], "m": mass,
-    }  # fmt: skip
-    return np.array([named[name] for name in INERTIAL])
+        **{f"I{'xyz'[i]}{'xyz'[k]}": tensor[..., i, k] for i in range(3) for k in range(i, 3)},
+        **{f"m{'xyz'[i]}": matrix[..., i, 3] for i in range(3)},
+        "m": matrix[..., 3, 3],
+    }
+    return np.stack([named[name] for name in INERTIAL], axis=-1)
 
 
 def _links(columns: Sequence[Column], prior: FloatArray) -> list[LinkInertia]:
@@ -178,8 +185,10 @@ def _links(columns: Sequence[Column], prior: FloatArray) -> list[LinkInertia]:
 
 
 def _root(information: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(information)
-    return np.asarray(np.sqrt(values.clip(0.0))[:, None] * vectors.T)
+    """(b, b) R with R^T R = information, whose entries may differ in unit and size."""
+    sizes = np.sqrt(np.diag(information).clip(1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(sizes, sizes))
+    return np.asarray(np.sqrt(values.clip(0.0))[:, None] * vectors.T * sizes)
 
 
 def _is_consistent(columns: Sequence[Column], values: FloatArray) -> bool:
@@ -192,16 +201,5 @@ def _is_consistent(columns: Sequence[Column], values: FloatArray) -> bool:
         matrix = pseudo_inertia(own[_TO_PINOCCHIO])
         if np.linalg.eigvalsh(matrix).min() < -1e-9 * np.trace(matrix):
             return False
-    drives = [i for i, c in enumerate(columns) if c.kind in _NOT_NEGATIVE]
+    drives = [i for i, c in enumerate(columns) if c.kind in NOT_NEGATIVE]
     return bool((values[drives] >= 0.0).all())
-
-
-def _violations(columns: Sequence[Column], combination: FloatArray, base: FloatArray) -> list[str]:
-    """Return unphysical unconstrained estimates of drive parameters that are base parameters."""
-    found = []
-    for row, value in zip(combination, base, strict=True):
-        terms = np.flatnonzero(row)
-        if len(terms) == 1 and columns[terms[0]].kind in _NOT_NEGATIVE and value < 0.0:
-            column = columns[terms[0]]
-            found.append(f"{column.words} is negative: {value:.4g} {column.unit}")
-    return found

@@ -12,7 +12,12 @@ from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.write import load_written
 from pytest_twin.errors import PathError, RecordingError, TwinError
 from pytest_twin.formats.digest import file_sha256
-from pytest_twin.identification.closed_loop import close_loop, effort_responses, trials_of
+from pytest_twin.identification.closed_loop import (
+    close_loop,
+    effort_responses,
+    trials_of,
+    with_command_delays,
+)
 from pytest_twin.identification.contact.identify_contact import are_tosses, identify_contact
 from pytest_twin.identification.contact.roles import TossOptions
 from pytest_twin.identification.drive_effects import (
@@ -20,18 +25,25 @@ from pytest_twin.identification.drive_effects import (
     drive_recordings,
     with_drive_effects,
 )
-from pytest_twin.identification.effort.identify_effort import has_effort, identify_effort
+from pytest_twin.identification.effort.amounts import without_amounts
+from pytest_twin.identification.effort.identify_effort import (
+    EffortResult,
+    has_effort,
+    identify_effort,
+)
 from pytest_twin.identification.effort.servo_gains import servo_gains
+from pytest_twin.identification.effort.stage_comparison import EffortError
 from pytest_twin.identification.encoder_changes import encoder_changes
-from pytest_twin.identification.fit_patches import patches_of
+from pytest_twin.identification.fit_patches import patches_of, reading_effects
 from pytest_twin.identification.known_effects import notes_on_effects
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
+from pytest_twin.identification.recheck import EffortRecord, effort_errors
 from pytest_twin.identification.records import effort_document, nominal_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify_sensors import identify_sensors
 from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
-from pytest_twin.identification.write import write_fitted
+from pytest_twin.identification.write import add_effects, write_fitted
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.record_inputs import basis_json, states_of_records, unfitted
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
@@ -139,6 +151,7 @@ def _identify_files(
         paths, tested, realization,
         {**stated, **topics}, chosen, signals,
     )  # fmt: skip
+    measured = without_amounts(realization, measured)
     folder = _new_folder(Path(out) / REALIZATION)
     progress(0.3)
     if has_effort(measured) and skips("all stages"):
@@ -160,10 +173,20 @@ def _identify_files(
             realization, patches_of(realization, result), encoders, gains,
             driven, tried, folder,
         )  # fmt: skip
-        stages = (*result.stages, loop.stage)
+        stages = (*with_command_delays(result.stages, loop), loop.stage)
         if loop.drives is not None:
             stages = with_drive_effects(stages, loop.drives)
-        document = effort_document(result, stages)
+        moved = {
+            name.split(".asymmetric_friction")[0]
+            for name in loop.parameters
+            if ".asymmetric_friction" in name
+        }
+        add_effects(folder, result.regressor.joints, reading_effects(result, moved))
+        errors = _written_errors(
+            folder, _paths(measured.held_out) or _paths(measured.fit), result,
+            {**stated, **topics}, chosen,
+        )  # fmt: skip
+        document = effort_document(result, stages, errors)
         if loop.drives is not None:
             add_covariance(document, loop.drives)
         document["fit"] = loop.fit
@@ -205,6 +228,32 @@ def _identify_files(
     # Along measured efforts, the motion is simulated only where commands drive it.
     simulated = any("position_rms" in errors for errors in document["held_out"].values())
     return inputs.add(document, said, _uses(realization, measured, simulated=simulated))
+
+
+def _written_errors(
+    folder: Path,
+    recordings: Sequence[Path],
+    result: EffortResult,
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+) -> dict[str, EffortError]:
+    """Return joint -> error of the written model, read like any other model."""
+    written = dict(
+        zip(
+            (column.name for column in result.regressor.columns),
+            result.physical.parameters.tolist(),
+            strict=True,
+        )
+    )
+    if result.delay is not None:
+        written[result.delay.name] = result.delay.value
+    fitted = load_written(folder)
+    signals = options if fitted.twin is None else options.over(fitted.twin.recordings)
+    errors = effort_errors(
+        fitted, recordings, EffortRecord(written, {}, result.filter, result.samples[0].rest),
+        topics, signals,
+    )  # fmt: skip
+    return {joint: error for joint, error in errors.items() if joint in result.errors}
 
 
 def _without_effort(

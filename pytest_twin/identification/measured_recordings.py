@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.sensing import EffortScale
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries, Recording
 from pytest_twin.identification.known_effects import KnownEfforts, known_efforts
@@ -50,6 +51,10 @@ _SHORT_GAP = 0.01
 """Interval, s, up to which a recording is never cut: within it, a motion of 2 Hz leaves a straight
 line by 0.2 % of its amplitude. Logs of 1 kHz have such intervals all over."""
 
+AN_AMOUNT = (
+    "effort never changes its sign: an amount and no torque; it is not used. Record the signed "
+    "current, or identify from commands and positions alone"
+)
 _MOVED = 0.02
 """Standard deviation of positions, rad or m, below which velocities are not compared with them: of
 servos these are often coarse."""
@@ -338,7 +343,12 @@ def _in_model(read: MeasuredRecording, realization: Realization) -> MeasuredReco
         None if read.velocity is None else encoders.model_velocity(read.velocity),
     )
     effort = known.true_effort(encoders.signed(read.effort))
-    return replace(read, position=position, velocity=velocity, effort=effort, known=known)
+    # Where an earlier identification found the constant of a current, it is a torque now.
+    scaled = {one.joint for one in known.effects if one.effect == EffortScale.id}
+    unscaled = read.unscaled & np.array([joint not in scaled for joint in read.joints])
+    return replace(
+        read, position=position, velocity=velocity, effort=effort, known=known, unscaled=unscaled
+    )
 
 
 def velocity_notes(
@@ -412,11 +422,8 @@ def _efforts(
                 notes.append(f"{name}: effort reads 0 {share}: no sensor, its effort is unknown")
             effort[:, column] = np.nan
             continue
-        if not own.signed or _is_unsigned(known):
-            notes.append(
-                f"{name}: effort never changes its sign: an amount and no torque; it is not used. "
-                "Record the signed current, or identify from commands and positions alone"
-            )
+        if not own.signed:
+            notes.append(f"{name}: {AN_AMOUNT}")
             effort[:, column] = np.nan
             continue
         top = saturation_level(values) if own.limit is None else own.limit
@@ -449,12 +456,15 @@ def saturation_level(values: FloatArray) -> float | None:
     return top if top > 0.0 and in_a_row.mean() > _CLIPPED else None
 
 
-def _is_unsigned(values: FloatArray) -> bool:
-    """Whether the efforts are magnitudes only: never negative, and often zero.
+def may_be_an_amount(effort: FloatArray) -> bool:
+    """Whether efforts (n,) may be magnitudes only: never negative, and often zero.
 
-    The effort of a joint that only carries weight has one sign too, but is never near zero.
+    A torque that only carries weight may look like this too.
     """
-    return bool(values.min() >= 0.0 and np.quantile(values, 0.05) < 0.1 * np.quantile(values, 0.95))
+    known = effort[np.isfinite(effort)]
+    if not len(known) or known.min() < 0.0:
+        return False
+    return bool(np.quantile(known, 0.05) < 0.1 * np.quantile(known, 0.95))
 
 
 def _stretches(whole: MeasuredRecording) -> list[MeasuredRecording]:

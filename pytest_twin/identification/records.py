@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -11,15 +11,25 @@ from pytest_twin import __version__
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.encoders import SCALE, undetermined_entries
 from pytest_twin.identification.effort.estimate import SQUARES
-from pytest_twin.identification.effort.groups import FRICTION
+from pytest_twin.identification.effort.groups import FRICTION, stage_of
 from pytest_twin.identification.effort.identify_effort import EffortResult
-from pytest_twin.identification.effort.stage_comparison import parameter_name
+from pytest_twin.identification.effort.impossible_drives import impossible_drives
+from pytest_twin.identification.effort.stage_comparison import EffortError, parameter_name
 from pytest_twin.identification.motions import undetermined_by_effort
 from pytest_twin.identification.stages import Stage, in_order
 from pytest_twin.metrics.joint_covariance import with_deviations
 
 Verdict = Literal["accepted", "improved", "rejected"]
 
+_UNEXPLAINED = 0.95
+"""Relative error of an effort from which nothing of it is predicted."""
+_FAR_FROM_LEAST_SQUARES = 1.0
+"""Excess over the error of plain least squares, relative to that error, above which the prediction
+of a joint is not accepted."""
+_SMALL_ERROR = 0.03
+"""Relative error of plain least squares below which it counts as so large."""
+_INERTIA_OF_MODELS = 0.3
+"""Half width of the 95 % interval of a model's inertia, relative: CAD models are right to 30 %."""
 _CORRELATED = 0.9
 """Correlation above which a pair of parameters is reported."""
 
@@ -67,12 +77,15 @@ def nominal_document(way: str) -> dict[str, Any]:
     }
 
 
-def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, Any]:
+def effort_document(
+    result: EffortResult, stages: Sequence[Stage], written: Mapping[str, EffortError]
+) -> dict[str, Any]:
     """Return the content of ``identification.json`` for an identification from measured effort.
 
     Args:
         result: identification.
         stages: stages of the result and further ones.
+        written: joint -> error of the written model.
     """
     base, fitted, estimate = result.base, result.fitted, result.estimate
     kept = fitted.kept
@@ -81,6 +94,9 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     rejected = {stage.name for stage in stages if stage.state == "rejected"}
     parameters: dict[str, Any] = {}
     prior = base.values(result.regressor.prior)
+    # The constant of such a current is measured against the model's inertia.
+    of_model = np.array([base.columns[base.independent[i]].kind == "effort_scale" for i in kept])
+    half = np.hypot(half, np.where(of_model, _INERTIA_OF_MODELS * np.abs(values), 0.0))
     for k, i in enumerate(kept):
         alone = np.count_nonzero(base.combination[i]) == 1
         column = base.columns[base.independent[i]]
@@ -92,7 +108,9 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "prior": None if drive and not prior[i] else float(prior[i]),
             "stage": result.stage_of[i],
             "used": result.stage_of[i] not in rejected,
-            "estimator": estimate.estimator,
+            "estimator": f"{estimate.estimator}, against the inertia of the model"
+            if of_model[k]
+            else estimate.estimator,
             "bootstrap_ci95": estimate.bootstrap.interval[k].tolist(),
         }
         if estimate.estimator != SQUARES:
@@ -101,7 +119,8 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     # The bias from parameters that are fixed at zero is independent of the noise.
     covariance = with_deviations(fitted.solution.covariance, widths)
     tested = bool(result.held_out)
-    of_robot = any(not name.endswith(".effort_bias") for name in names)
+    offsets = [column.kind == "effort_bias" for column in base.columns]
+    of_robot = any(not base.combination[i][offsets].any() for i in kept)
     errors = {
         joint: {
             "effort_relative": error.relative,
@@ -109,10 +128,13 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
             "effort_unit": _effort_unit(result, joint),
             **({} if error.moving is None else {"effort_relative_moving": error.moving}),
             "effort_relative_nominal": result.nominal[joint].relative,
+            "effort_relative_least_squares": result.least_squares[joint].relative,
+            **_rejection(error, result.least_squares[joint]),
         }
-        for joint, error in result.errors.items()
+        for joint, error in written.items()
     }
-    better = _mean(result.errors) < _mean(result.nominal)
+    better = _mean(written) < _mean(result.nominal)
+    predicted = not any("rejected" in error for error in errors.values())
     ordered = in_order(stages)
     fatal = any(one.is_fatal for one in result.suspected)
     for joint, scale in result.scales.items():
@@ -165,7 +187,10 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
     return {
         "schema": 1,
         "verdict": verdict_of(
-            ordered, better and not fatal, tested and of_robot, result.physical.is_consistent
+            ordered,
+            better and not fatal,
+            tested and of_robot and predicted,
+            result.physical.is_consistent,
         ),
         "way": "measured effort",
         "stages": [stage.to_json() for stage in ordered],
@@ -183,7 +208,7 @@ def effort_document(result: EffortResult, stages: Sequence[Stage]) -> dict[str, 
         "tested_on": "held-out recordings" if tested else "fitted recordings",
         "physical": {
             "consistent": result.physical.is_consistent,
-            "violations": list(result.physical.violations),
+            "violations": [one.what for one in impossible_drives(base, fitted)],
             "cost": result.physical.cost,
             "note": "the base parameters are measured; their distribution among the links follows "
             "from the nominal model as prior",
@@ -242,7 +267,23 @@ def _effort_unit(result: EffortResult, joint: str) -> str:
     return units.pop()
 
 
-def _mean(errors: dict[str, Any]) -> float:
+def _rejection(error: EffortError, least_squares: EffortError) -> dict[str, str]:
+    """Return why the prediction of a joint's effort is not accepted, as ``rejected``."""
+    moving = error.relative if error.moving is None else error.moving
+    if min(error.relative, moving) >= _UNEXPLAINED:
+        return {"rejected": f"{100 * error.relative:.0f} % of its effort is not predicted"}
+    excess = error.relative - least_squares.relative
+    if excess <= _FAR_FROM_LEAST_SQUARES * max(least_squares.relative, _SMALL_ERROR):
+        return {}
+    why = (
+        f"its error of {100 * error.relative:.1f} % is far above the "
+        f"{100 * least_squares.relative:.1f} % of base parameters by least squares: the bodies of "
+        "the model cannot have these parameters, or a stage is rejected"
+    )
+    return {"rejected": why}
+
+
+def _mean(errors: Mapping[str, EffortError]) -> float:
     return float(np.mean([error.relative for error in errors.values()]))
 
 
@@ -262,12 +303,17 @@ def correlated_pairs(names: Sequence[str], covariance: np.ndarray) -> list[dict[
 
 def _unobservable(result: EffortResult) -> list[dict[str, str]]:
     """Return undetermined parameters, with the motion that would determine them."""
+    stages_by_column = dict(zip(result.base.independent.tolist(), result.stage_of, strict=True))
+    open_ = result.base.independent[result.unobservable | result.unsure]
     found = []
-    for i in np.flatnonzero(result.unobservable | result.unsure):
-        column = result.base.columns[result.base.independent[i]]
-        found.append(
-            undetermined_by_effort(
-                result.base.expressions[i], result.stage_of[i], column.joint, column.kind
+    for row, i in enumerate(result.structural.independent):
+        column = result.structural.columns[i]
+        # What this motion shows only in a sum, another motion would show.
+        if i in open_ or i not in result.base.independent:
+            stage = stages_by_column.get(int(i)) or stage_of(column, column.is_inertial)
+            found.append(
+                undetermined_by_effort(
+                    result.structural.expressions[row], stage, column.joint, column.kind
+                )
             )
-        )
     return found

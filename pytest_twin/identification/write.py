@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from pytest_twin.diagnosis.patched.model import MODEL_FILE, effects_json
-from pytest_twin.diagnosis.patched.write import twin_text
+from pytest_twin.diagnosis.patched.model import (
+    MODEL_FILE,
+    AppliedEffect,
+    PatchedModel,
+    effects_json,
+    read_patched_model,
+)
+from pytest_twin.diagnosis.patched.write import load_written, twin_text
+from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.identification_record import EncoderChange
@@ -71,3 +78,42 @@ def write_fitted(
             "calibration": {"id": "identified", "joints": joints},
         }
         atomic.write_text(folder / FILE_NAME, yaml.safe_dump(data, sort_keys=False))
+
+
+def add_effects(folder: Path, joints: tuple[str, ...], new: Sequence[AppliedEffect]) -> None:
+    """Add effects that no MJCF contains to ``effects.json`` of a fitted model.
+
+    Args:
+        folder: folder of the fitted model.
+        joints: joints of the identification.
+        new: effects. One of a reading that the model already has is applied after it.
+    """
+    if not new:
+        return
+    patched = read_patched_model(load_written(folder)) or PatchedModel(joints)
+    effects = list(patched.effects)
+    for one in new:
+        same = [e for e in effects if (e.effect, e.joint) == (one.effect, one.joint)]
+        effects = [e for e in effects if e not in same]
+        effects.append(_after(same[0], one, patched) if same else one)
+    every = (*patched.joints, *(joint for joint in joints if joint not in patched.joints))
+    written = effects_json(replace(patched, joints=every, effects=tuple(effects)))
+    atomic.write_text(folder / EFFECTS_FILE, json.dumps(written, indent=2) + "\n")
+
+
+def _after(before: AppliedEffect, new: AppliedEffect, patched: PatchedModel) -> AppliedEffect:
+    """Return one effect for readings that the given model already corrects.
+
+    reading = (1 + e) effort + b. The new effect holds for the corrected effort.
+    """
+    if new.effect == EffortScale.id:
+        scale = (1.0 + before.values["scale_error"]) * (1.0 + new.values["scale_error"])
+        return replace(new, values={"scale_error": scale - 1.0})
+    if new.effect != EffortBias.id:
+        return new
+    scale = 1.0 + sum(
+        e.values["scale_error"]
+        for e in patched.effects
+        if (e.effect, e.joint) == (EffortScale.id, new.joint)
+    )
+    return replace(new, values={"bias": before.values["bias"] + scale * new.values["bias"]})

@@ -59,7 +59,7 @@ def test_encoder_bias_and_scale_are_identified_and_corrected(tmp_path: Path) -> 
 def test_the_encoder_bias_of_the_last_joint_is_reported_as_undetermined(tmp_path: Path) -> None:
     result = identified(tmp_path, [0.0, 0.1], [0.0, 0.0])
     assert ("elbow", "encoder_bias") in result.encoders.undetermined
-    document = effort_document(result, result.stages)
+    document = effort_document(result, result.stages, result.errors)
     (entry,) = (
         one for one in document["unobservable"] if one["expression"] == "elbow.encoder_bias"
     )

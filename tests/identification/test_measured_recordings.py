@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import simulated_effort, true_arm, write_model, write_recording
+from fourier_motion import needed_effort
 
 from pytest_twin.errors import RecordingError
+from pytest_twin.identification.effort.amounts import without_amounts
 from pytest_twin.identification.measured_recordings import (
     MeasuredRecording,
+    MeasuredRecordings,
+    may_be_an_amount,
     read_measured,
     velocity_notes,
 )
@@ -73,8 +77,26 @@ def test_an_effort_without_sign_is_not_used(tmp_path: Path) -> None:
         true_arm(tmp_path), 1, seconds=10.0, rate=100.0, about=np.pi / 2
     )
     one = measured_signals(tmp_path, q, np.abs(effort), {})
-    assert np.isnan(one.effort).all()
-    assert "effort never changes its sign: an amount and no torque" in one.notes[0]
+    assert may_be_an_amount(one.effort[:, 0])
+    (left,) = without_amounts(load(write_model(tmp_path)), MeasuredRecordings((one,), ())).fit
+    assert np.isnan(left.effort).all()
+    assert "effort never changes its sign: an amount and no torque" in left.notes[0]
+
+
+def test_a_torque_that_a_weight_keeps_positive_is_a_torque(tmp_path: Path) -> None:
+    # The arm swings on one side of its lowest position, without friction.
+    time = np.arange(0.0, 20.0, 0.01)
+    swing = 0.5 * (1.0 - np.cos(0.8 * time)) + 0.05
+    q = np.column_stack([np.pi / 2 + swing, 0.2 * np.sin(0.5 * time)])
+    v, a = (np.gradient(q, time, axis=0), np.gradient(np.gradient(q, time, axis=0), time, axis=0))
+    real = true_arm(tmp_path, damping=0.0, friction=0.0, elbow=0.0)
+    effort = needed_effort(real.model, q, v, a)
+    effort[:, 0] *= np.sign(effort[:, 0].mean())
+    positive = np.maximum(effort, 0.0)
+    one = measured_signals(tmp_path, q, positive, {})
+    assert may_be_an_amount(one.effort[:, 0])
+    (left,) = without_amounts(load(write_model(tmp_path)), MeasuredRecordings((one,), ())).fit
+    assert np.isfinite(left.effort[:, 0]).all()
 
 
 def test_an_effort_that_is_always_zero_is_treated_as_unknown(tmp_path: Path) -> None:

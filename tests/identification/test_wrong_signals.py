@@ -85,7 +85,7 @@ def test_for_joints_that_hardly_move_the_missing_motions_are_reported(tmp_path: 
         )
 
     result = identified_from_two(tmp_path, hardly_moved)
-    document = effort_document(result, result.stages)
+    document = effort_document(result, result.stages, result.errors)
     assert document["verdict"] == "improved"
     motion = {one["expression"]: one["motion"] for one in document["unobservable"]}
     assert motion["mx2"] == (

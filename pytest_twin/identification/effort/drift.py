@@ -61,6 +61,7 @@ def drifts(
             found.append(_mistake(joint, "viscous friction", 100.0 * trend[1] / friction))
         if sure[2] and abs(trend[2]) > _ZERO_DRIFT * effort:
             found.append(InputMistake(
+                joint,
                 f"{joint}: the constant effort changes by {100 * trend[2] / effort:+.0f} % of the "
                 "usual effort over a recording: the zero of its sensor drifts",
                 "set the zero of the effort when the robot is warm, or record for a shorter time",
@@ -72,6 +73,7 @@ def drifts(
 def _mistake(joint: str, what: str, percent: float) -> InputMistake:
     of = " of the whole friction" if what.startswith("viscous") else ""
     return InputMistake(
+        joint,
         f"{joint}: {what} changes by {percent:+.0f} %{of} over a recording: the gear warms up, or "
         "its load changes",
         _WARM,

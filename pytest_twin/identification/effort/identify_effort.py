@@ -37,7 +37,12 @@ from pytest_twin.identification.effort.essential_parameters import (
 from pytest_twin.identification.effort.estimate import INSTRUMENTS, EffortEstimate, estimate
 from pytest_twin.identification.effort.filtering import Filter, choose_filter
 from pytest_twin.identification.effort.groups import EXCLUDES, dry_of, stages_of
-from pytest_twin.identification.effort.input_mistakes import InputMistake, find_mistakes
+from pytest_twin.identification.effort.impossible_drives import impossible_drives
+from pytest_twin.identification.effort.input_mistakes import (
+    InputMistake,
+    find_mistakes,
+    unless_checked,
+)
 from pytest_twin.identification.effort.instruments import (
     instruments_of,
     solve_instrumental,
@@ -47,7 +52,6 @@ from pytest_twin.identification.effort.least_squares import (
     LinearProblem,
     Solution,
     information,
-    is_determined,
     linear_problem,
     solve,
     weight_rows,
@@ -56,12 +60,12 @@ from pytest_twin.identification.effort.position_mistakes import position_mistake
 from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
 from pytest_twin.identification.effort.stage_comparison import (
     EffortError,
-    accepted_values,
     compare_stages,
     errors_of,
     with_data,
 )
-from pytest_twin.identification.full_parameters import FullParameters, fit_full_parameters
+from pytest_twin.identification.effort.written_parameters import LinearFit, confirm_stages
+from pytest_twin.identification.full_parameters import FullParameters
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.regressor import (
     BaseParameters,
@@ -101,12 +105,16 @@ class EffortResult:
         fitted: fit of the essential parameters.
         stages: gravity, inertia, friction, drive.
         stage_of: (b,) stage of each base parameter.
-        errors: joint -> error on held-out recordings, or on the fitted ones if nothing is held out.
+        errors: joint -> error of the written model on held-out recordings, or on the fitted ones if
+            nothing is held out.
         nominal: joint -> the same error with nominal parameters.
+        least_squares: joint -> the same error with all base parameters by least squares, without
+            omissions and without the conditions of physical bodies.
         without_effort: joints whose effort is unknown.
-        unobservable: base parameters that the motion does not determine.
+        unobservable: base parameters that the motion does not move.
+        structural: base parameters that some motion could show; ``base`` are those of this motion.
         unsure: base parameters that are omitted, but may be as large as their nominal values.
-        physical: full, physically consistent parameters.
+        physical: full, physically consistent parameters, which are written.
         filter: filter of the motion.
         samples: rows of the fitted recordings.
         held_out: rows of the held-out recordings.
@@ -126,8 +134,10 @@ class EffortResult:
     stage_of: tuple[StageName, ...]
     errors: dict[str, EffortError]
     nominal: dict[str, EffortError]
+    least_squares: dict[str, EffortError]
     without_effort: tuple[str, ...]
     unobservable: NDArray[np.bool_]
+    structural: BaseParameters
     unsure: NDArray[np.bool_]
     physical: FullParameters
     filter: Filter
@@ -140,6 +150,14 @@ class EffortResult:
     encoders: EncoderErrors = field(default_factory=EncoderErrors)
     scales: Mapping[str, Scale] = field(default_factory=dict)
     gains: Mapping[str, Scale] = field(default_factory=dict)
+
+    @property
+    def used_scales(self) -> dict[str, Scale]:
+        """Joint -> scale by which its recorded effort was divided."""
+        drive = next((stage for stage in self.stages if stage.name == "drive"), None)
+        if drive is not None and drive.state == "rejected":
+            return dict(self.gains)
+        return {**{j: s for j, s in self.scales.items() if s.is_significant}, **self.gains}
 
 
 def has_effort(measured: MeasuredRecordings) -> bool:
@@ -551,10 +569,10 @@ def _identify(
             value="; ".join(measured.fit[0].notes) or None,
             expected="signed efforts in N*m or signed currents",
         )
-    base = _base(regressor, known)
+    structural = _base(regressor, known)
+    base, open_ = _regrouped(structural, _problem(fit, regressor, structural))
     stage_of = stages_of(regressor, base)
     problem = _problem(fit, regressor, base)
-    open_ = _is_unobservable(problem)
     columns = np.flatnonzero(~open_)
     tested = _problem(held or fit, regressor, base)
     shown = problem.only(columns)
@@ -572,46 +590,55 @@ def _identify(
         fitted, stage_of, prior, base, bool(held),
     )  # fmt: skip
     stages = with_data(stages, problem, fitted, stage_of, [rows.name for rows in fit])
-    values = accepted_values(fitted, stages, stage_of, prior)
-    full = solve(shown, intervals=False)
+    plain = solve(shown, intervals=False)
     if found.estimator == INSTRUMENTS:
-        full = solve_instrumental(shown, full)
-    said = np.zeros((len(base), len(base)))
-    said[np.ix_(columns, columns)] = _precision(shown, full)
-    whole = np.zeros(len(base))
-    whole[columns] = full.values
+        plain = solve_instrumental(shown, plain)
+    unsure = _is_uncertain(problem, prior, columns, kept, plain)
+    every = np.arange(len(regressor.columns))
+    full = linear_problem(held or fit, every, np.zeros((len(joints), len(every)), dtype=bool))
+    written, stages = confirm_stages(
+        regressor,
+        LinearFit(base, problem, fitted, open_, unsure, stage_of, found.estimator == INSTRUMENTS),
+        stages, [joint for k, joint in enumerate(joints) if known[k]], full,
+    )  # fmt: skip
     rate = 1.0 / float(np.median(np.diff(fit[0].time)))
     along = fitted.solution.values if found.estimator == INSTRUMENTS else None
     late = None
     if len(fitted.kept):
         late = delay_of(problem.only(fitted.kept), recorded, rate, along)
     gears = [signals.of(joint).gear for joint in joints]
-    named = dict(zip((base.names[i] for i in columns), full.values.tolist(), strict=True))
+    named = dict(zip((base.names[i] for i in columns), plain.values.tolist(), strict=True))
     viscous = {joint: named.get(f"{joint}.viscous_friction", 0.0) for joint in joints}
-    suspected = [
-        *position_mistakes(realization, measured.fit, gears),
-        *find_mistakes(realization, measured.fit, fit, regressor, gears),
-        *drifts(shown, full, fit, viscous),
-    ]
+    mistakes = unless_checked(
+        [
+            *position_mistakes(realization, measured.fit, gears),
+            *find_mistakes(realization, measured.fit, fit, regressor, gears),
+            *drifts(shown, plain, fit, viscous),
+        ],
+        signals,
+    )
+    if not any(one.is_fatal for one in mistakes):
+        # A wrong sign makes friction negative, too.
+        mistakes += impossible_drives(base, fitted)
     result = EffortResult(
         regressor=regressor,
         base=base,
         fitted=fitted,
         stages=stages,
         stage_of=tuple(stage_of),
-        errors=errors_of(tested, values, joints),
-        nominal=errors_of(tested, prior, joints),
+        errors=errors_of(full, written.parameters, joints),
+        nominal=errors_of(full, regressor.prior, joints),
+        least_squares=errors_of(tested.only(columns), plain.values, joints),
         without_effort=tuple(j for j, k in zip(joints, known, strict=True) if not k),
         unobservable=open_,
-        unsure=_is_uncertain(problem, prior, columns, kept, full),
-        physical=fit_full_parameters(
-            regressor.columns, regressor.prior, base.combination, whole, said
-        ),
+        unsure=unsure,
+        structural=structural,
+        physical=written,
         filter=chosen,
         samples=tuple(fit),
         held_out=tuple(held),
         delay=None,
-        suspected=tuple(suspected),
+        suspected=tuple(mistakes),
         notes=tuple(dict.fromkeys(n for m in everything for n in m.notes)),
         estimate=found,
     )
@@ -661,9 +688,13 @@ def _problem(
     return linear_problem(samples, base.independent, dry)
 
 
-def _is_unobservable(problem: LinearProblem) -> NDArray[np.bool_]:
-    """(b,) True for parameters that the motion does not determine, for any noise."""
-    return ~is_determined(problem.matrix, problem)
+def _regrouped(
+    base: BaseParameters, problem: LinearProblem
+) -> tuple[BaseParameters, NDArray[np.bool_]]:
+    """Return the base parameters that the motion distinguishes, and True for those at rest."""
+    size = np.sqrt(np.sum(problem.effort**2, axis=0) / np.maximum(problem.known.sum(axis=0), 1))
+    weight = problem.known / np.where(size > 0, size, 1.0)
+    return base.regrouped(weight_rows(problem.matrix, weight))
 
 
 def _is_uncertain(
@@ -696,10 +727,3 @@ def _is_uncertain(
     found[columns] = (limit > 0.0) & (half > limit)
     found[kept] = False
     return found
-
-
-def _precision(problem: LinearProblem, solution: Solution) -> FloatArray:
-    """(b, b) inverse covariance of a fit, for residuals correlated in time."""
-    said = information(problem, solution.residual, solution.weight)
-    shrunk = np.trace(said.matrix) / max(np.trace(said.enlarged), 1e-300)
-    return np.asarray(said.matrix * shrunk)

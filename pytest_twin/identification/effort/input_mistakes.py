@@ -15,6 +15,7 @@ from pytest_twin.identification.effort.recording_rows import RecordingRows, samp
 from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
+from pytest_twin.signals import Signals
 
 _SURE = 6.0
 """Number of standard deviations above which a sign or a factor is significant."""
@@ -42,11 +43,13 @@ class InputMistake:
     """A suspected mistake of the input.
 
     Attributes:
+        joint: its joint.
         what: joint, mistake and the figure that shows it.
         mend: how to correct it.
         is_fatal: whether the result must be rejected until it is corrected.
     """
 
+    joint: str
     what: str
     mend: str
     is_fatal: bool = True
@@ -54,6 +57,14 @@ class InputMistake:
     def to_json(self) -> dict[str, object]:
         """Content for ``identification.json``."""
         return {"what": self.what, "mend": self.mend, "fatal": self.is_fatal}
+
+
+def unless_checked(suspected: Sequence[InputMistake], signals: Signals) -> list[InputMistake]:
+    """Return the suspicions; where a person checked the signals of a joint, none is fatal."""
+    return [
+        replace(one, is_fatal=one.is_fatal and not signals.of(one.joint).checked)
+        for one in suspected
+    ]
 
 
 def find_mistakes(
@@ -90,12 +101,14 @@ def find_mistakes(
         unscaled = any(c.joint == joint and c.kind == "effort_scale" for c in regressor.columns)
         if negative:
             found.append(InputMistake(
+                joint,
                 f"{joint}: the effort helps the motion (viscous {viscous:.3g}, dry {dry:.3g}, both "
                 "should resist): its sign is wrong",
                 f"signals: joints: {joint}: gear: {-gears[k]:g}, or the sign of its effort alone",
             ))  # fmt: skip
         elif factor < 0 and factor < -_SURE * std[0]:
             found.append(InputMistake(
+                joint,
                 f"{joint}: friction resists and the rigid bodies' effort has the opposite sign "
                 f"(factor {factor:.3g}): position and effort are counted against the model's axis",
                 f"calibration: joints: {joint}: {{sign: -1}}, or the axis of the model",
@@ -143,6 +156,7 @@ def _rescaling_by_effort(
                 best[k] = noise, trial
     return [
         InputMistake(
+            regressor.joints[k],
             f"{regressor.joints[k]}: positions span {spans[k]:.4g} "
             f"{'m' if regressor.slides[k] else 'rad'}, and along {one.factor:.3g} times as much "
             f"the model explains the effort better: {one.what}",
@@ -188,23 +202,43 @@ def _factor(joint: str, factor: float, gear: float) -> InputMistake:
         near = abs(abs(math.log(factor)) - power * math.log(gear)) < _LIKE
         if gear > 1.0 and near:
             return InputMistake(
+                joint,
                 f"{what}: the gear ratio {gear:g} {said}",
                 f"signals: joints: {joint}: side of position and effort, and gear",
             )
     return InputMistake(
+        joint,
         f"{what}: no payload and no rotor explains that",
         f"signals: joints: {joint}: gear, side or unit of its effort; quantity: current where it "
-        "is one",
+        "is one; checked: true where they are right",
+        is_fatal=False,
     )
 
 
 def _unsigned_effort(
     samples: Sequence[RecordingRows], regressor: Regressor, joint: int
 ) -> InputMistake | None:
-    """Return a suspicion if an effort of one sign fits far better as an amount.
+    """Return a suspicion if an effort of one sign fits far better as an amount."""
+    ratio = amount_ratio(samples, regressor, joint)
+    if ratio is None or ratio > _BETTER:
+        return None
+    name = regressor.joints[joint]
+    return InputMistake(
+        name,
+        f"{name}: the effort has one sign and fits {1.0 / ratio:.2g} times better with the sign of "
+        "the model's effort: it is an amount, without a sign",
+        f"signals: joints: {name}: effort: {{signed: false}}, and record the signed effort",
+    )
+
+
+def amount_ratio(
+    samples: Sequence[RecordingRows], regressor: Regressor, joint: int
+) -> float | None:
+    """Return the residual of an effort as an amount, relative to that as a torque.
 
     The effort is given the sign of the model's effort, which depends on the fit: both are repeated
-    in turn. An effort that only carries weight keeps its sign and fits equally.
+    in turn. Infinite if the model's effort has one sign: an effort that only carries weight keeps
+    it. None if the effort has both signs, or if the joint does not move.
     """
     problem = _alone_problem(samples, regressor, joint)
     if problem is None:
@@ -229,16 +263,10 @@ def _unsigned_effort(
         columns[:, 0, bias] = 0.0
         model = columns[:, 0] @ found.values
     shown = sign[problem.known[:, 0]]
-    turns = min(float(np.mean(shown < 0.0)), float(np.mean(shown > 0.0)))
+    if min(float(np.mean(shown < 0.0)), float(np.mean(shown > 0.0))) < _TURNS:
+        return math.inf
     before = solve(problem, intervals=False)
-    if turns < _TURNS or found.noise[0] > _BETTER * before.noise[0]:
-        return None
-    name = regressor.joints[joint]
-    return InputMistake(
-        f"{name}: the effort has one sign and fits {before.noise[0] / found.noise[0]:.2g} times "
-        "better with the sign of the model's effort: it is an amount, without a sign",
-        f"signals: joints: {name}: effort: {{signed: false}}, and record the signed effort",
-    )
+    return float(found.noise[0]) / max(float(before.noise[0]), 1e-300)
 
 
 def _fit_joint_alone(

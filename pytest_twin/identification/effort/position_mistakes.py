@@ -46,6 +46,7 @@ def position_mistakes(
             unit = realization.structure.joint_type[joint] == "slide"
             at = ", ".join(f"{end:.4g}" for end in sorted(set(ends)))
             found.append(InputMistake(
+                joint,
                 f"{joint}: positions stop in motion at {at} {'m' if unit else 'rad'}, {len(ends)} "
                 "times: the readings are clipped, or the joint runs against a stop",
                 "record within the range of the encoder and of the joint, or cut these parts off",
@@ -116,6 +117,7 @@ def _too_wide(
         ("another unit, the motor's side of a gear, or another joint", side)
     ]
     return InputMistake(
+        joint,
         f"{joint}: positions span {span:.4g} {unit}, its range is {high - low:.3g} {unit}: "
         + ", or ".join(what for what, _ in fitting),
         ", or ".join(mend for _, mend in fitting),

@@ -33,6 +33,7 @@ class RecordingRows:
         velocity: (n, joints) rad/s or m/s.
         resting: (n, joints) True where the joint is at rest.
         saturated: (n, joints) True where the drive is at its effort limit.
+        rest: (joints,) speeds below which a joint is at rest.
         instrument: (n, joints, p) ``matrix`` for the noise-free commanded motion; None without
             position commands of every joint.
     """
@@ -44,6 +45,7 @@ class RecordingRows:
     velocity: FloatArray
     resting: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
+    rest: FloatArray
     instrument: FloatArray | None = None
 
 
@@ -52,6 +54,7 @@ def sample(
     regressors: Sequence[Regressor],
     chosen: Filter,
     commanded: Sequence[MeasuredRecording] | None = None,
+    rest: FloatArray | None = None,
 ) -> list[RecordingRows]:
     """Rows of every recording.
 
@@ -60,9 +63,10 @@ def sample(
         regressors: regressor of each recording, which may have its own payload.
         chosen: filter of the motion.
         commanded: the same recordings with noise-free motion, for an instrument.
+        rest: (joints,) speeds below which a joint is at rest; by default those of the recordings.
     """
     motions = [differentiate(one, chosen) for one in recordings]
-    rest = _rest_speeds(motions)
+    rest = _rest_speeds(motions) if rest is None else rest
     rows = [
         _rows(one, motion, regressor, chosen, rest)
         for one, motion, regressor in zip(recordings, motions, regressors, strict=True)
@@ -137,6 +141,7 @@ def _rows(
         velocity=velocity[inner],
         resting=(np.abs(velocity) <= rest)[inner],
         saturated=(decimate(top.astype(np.float64), motion.rate, chosen) > 0.01)[inner],
+        rest=rest,
     )
 
 

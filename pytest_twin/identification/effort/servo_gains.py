@@ -12,9 +12,11 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import si_unit
 from pytest_twin.estimation.score import effective_samples
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.delay import without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
 from pytest_twin.identification.effort.effort_scale import divide_by_scales
+from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT
 from pytest_twin.identification.effort.filtering import Filter, differentiate, resample_uniformly
 from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
@@ -32,6 +34,13 @@ _WIDEST = 0.5
 _FEWEST_ROWS = 50
 _LEVELS = 10
 """Number of groups of rows by the effort of the law."""
+_DELAY_ROUNDS = 4
+"""Largest number of estimates of a delay, each linearized about the previous one."""
+_LATEST = 0.3
+"""Largest delay of a command, s, as in the catalogue."""
+_WITHIN_SAMPLE = 0.5
+"""Share of a sample by which the readings of effort and position may lie apart in time. It is
+unknown, and shifts the damping by the stiffness times this time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +51,9 @@ class ServoGains:
         joint, actuator: names in the model.
         stiffness, damping: N*m/rad and N*m*s/rad, or N/m and N*s/m.
         half_widths: half widths of their 95 % intervals.
+        delay: time, s, by which commands act late, and half width of its 95 % interval; of commands
+            that move on between their stamps.
+        sample: time between two states, s.
         nominal: the model's stiffness and damping.
         transmission: square of the actuator's gear in the model.
         is_slide: whether the joint is prismatic.
@@ -55,6 +67,8 @@ class ServoGains:
     stiffness: float
     damping: float
     half_widths: tuple[float, float]
+    delay: tuple[float, float]
+    sample: float
     nominal: tuple[float, float]
     transmission: float
     is_slide: bool
@@ -78,6 +92,30 @@ class ServoGains:
                 "estimator": "weighted least squares",
             }
             for name, value, half, nominal, of in rows
+        }
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the delay differs significantly from zero."""
+        return self.delay[0] * Z95 >= SIGNIFICANT * self.delay[1]
+
+    def command_delay(self, is_held: bool) -> float:
+        """Return the delay, s. A held command is half a sample late on the average already."""
+        return max(self.delay[0] - (0.5 * self.sample if is_held else 0.0), 0.0)
+
+    def delay_parameter(self, is_held: bool) -> dict[str, dict[str, Any]]:
+        """Return ``JOINT.command_delay`` for a record."""
+        value, half = self.command_delay(is_held), self.delay[1]
+        return {
+            f"{self.joint}.command_delay": {
+                "value": value,
+                "unit": "s",
+                "ci95": [value - half, value + half],
+                "prior": 0.0,
+                "stage": "delay",
+                "used": True,
+                "estimator": "weighted least squares",
+            }
         }
 
     def patch(self) -> dict[str, float]:
@@ -126,15 +164,15 @@ def servo_gains(
             continue
         fit = _fit_gains(realization, right, k, found.filter)
         if fit is not None:
-            (stiffness, damping), half, misfit = fit
             model = realization.model
             gear = float(model.actuator_gear[model.actuator_outadr[servo], 0])
             bias = -(gear**2) * model.actuator_biasprm[servo]
             gains.append(
                 ServoGains(
-                    joint, model.actuator(servo).name, stiffness, damping, half,
+                    joint, model.actuator(servo).name, *fit.gains, fit.half_widths,
+                    fit.delay, fit.sample,
                     (float(bias[1]), float(bias[2])), gear**2,
-                    realization.structure.joint_type[joint] == "slide", misfit,
+                    realization.structure.joint_type[joint] == "slide", fit.misfit,
                 )
             )  # fmt: skip
     return gains
@@ -154,13 +192,65 @@ def _servo(realization: Realization, joint: str) -> int | None:
     return servos[0] if len(servos) == 1 else None
 
 
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """Fit of one servo, as in :class:`ServoGains`."""
+
+    gains: tuple[float, float]
+    half_widths: tuple[float, float]
+    delay: tuple[float, float]
+    sample: float
+    misfit: float
+
+
 def _fit_gains(
     realization: Realization, recordings: Sequence[MeasuredRecording], k: int, chosen: Filter
-) -> tuple[tuple[float, float], tuple[float, float], float] | None:
-    """Return stiffness and damping of one joint, their half widths and the misfit, or None.
+) -> _Fit | None:
+    """Return the gains of one joint; None if its effort does not follow the law of a servo.
 
-    The rate of the command has its own column, which takes up a delay of the command.
+    The rate of the command has its own column, which takes up a delay of the command. The command
+    is shifted by this delay, and the fit repeated.
     """
+    period = max(1.0 / one.rate for one in recordings)
+    delay = 0.0
+    for _ in range(_DELAY_ROUNDS):
+        rows = _servo_rows(realization, recordings, k, chosen, delay)
+        if rows is None:
+            return None
+        problem, solution = rows, solve(rows)
+        stiffness, damping, lateness = (float(value) for value in solution.values[:3])
+        spread = float(problem.effort[problem.known].std())
+        half = solution.half_width
+        if solution.noise[0] > _OTHER_LAW * spread or half[0] > _WIDEST * stiffness:
+            return None
+        # The command c(t - d) is c(t) - d dc/dt to first order.
+        shift = float(np.clip(delay - lateness / stiffness, 0.0, _LATEST)) - delay
+        if abs(shift) <= half[2] / stiffness:
+            break
+        delay += shift
+    law = problem.matrix[:, 0] @ solution.values
+    rate = float(problem.matrix[problem.known[:, 0], 0, 2].std())
+    # A logged effort may belong to the command before or after its stamp.
+    late = max(abs(lateness) - float(half[2]) - period * stiffness, 0.0) * rate
+    misfit = float(np.hypot(_systematic_deviation(problem, law), late)) / spread
+    within_sample = _WITHIN_SAMPLE * period
+    return _Fit(
+        (stiffness, damping),
+        (float(half[0]), float(np.hypot(half[1], within_sample * stiffness))),
+        (delay, float(np.hypot(half[2] / stiffness, within_sample))),
+        period,
+        misfit,
+    )
+
+
+def _servo_rows(
+    realization: Realization,
+    recordings: Sequence[MeasuredRecording],
+    k: int,
+    chosen: Filter,
+    delay: float,
+) -> LinearProblem | None:
+    """Return the rows of one servo with its command shifted by a delay, s; None for too few."""
     encoders = Encoders.of(calibration_of(realization), recordings[0].joints)
     columns, efforts, known = [], [], []
     for one in recordings:
@@ -169,6 +259,7 @@ def _fit_gains(
         command = encoders.model_position(even.command)
         if not np.isfinite(command[:, k]).all() or not np.isfinite(even.effort[:, k]).all():
             continue
+        command[:, k] = np.interp(even.time - delay, even.time, command[:, k])
         motion = differentiate(even, chosen)
         asked = differentiate(replace(even, position=command), chosen)
         rows = np.stack(
@@ -187,23 +278,10 @@ def _fit_gains(
         return None
     matrix, effort = np.concatenate(columns)[:, None], np.concatenate(efforts)
     seen = np.concatenate(known)
-    problem = LinearProblem(
+    return LinearProblem(
         matrix, np.where(seen, effort, 0.0), seen, np.zeros_like(seen),
         np.zeros((1, matrix.shape[2]), dtype=bool), tuple(len(one) for one in columns),
     )  # fmt: skip
-    solution = solve(problem)
-    (stiffness, damping), half = solution.values[:2], solution.half_width[:2]
-    spread = float(effort[seen].std())
-    if solution.noise[0] > _OTHER_LAW * spread or half[0] > _WIDEST * stiffness:
-        return None
-    law = problem.matrix[:, 0] @ solution.values
-    # A logged effort may belong to the command before or after its stamp.
-    period = max(1.0 / one.rate for one in recordings)
-    late = abs(float(solution.values[2])) - float(solution.half_width[2])
-    late = max(late - period * float(stiffness), 0.0)
-    late *= float(matrix[seen[:, 0], 0, 2].std())
-    misfit = float(np.hypot(_systematic_deviation(problem, law), late)) / spread
-    return (float(stiffness), float(damping)), (float(half[0]), float(half[1])), misfit
 
 
 def _systematic_deviation(problem: LinearProblem, law: FloatArray) -> float:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.estimation.score import effective_samples
-from pytest_twin.identification.effort.essential_parameters import EssentialParameters
+from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT, EssentialParameters
 from pytest_twin.identification.effort.groups import EXCLUDES
 from pytest_twin.identification.effort.least_squares import (
     LinearProblem,
@@ -18,6 +18,7 @@ from pytest_twin.identification.effort.least_squares import (
     dry_levels,
     solve,
 )
+from pytest_twin.identification.paired_test import compare_paired
 from pytest_twin.identification.regressor import BaseParameters
 from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage, shares
 
@@ -54,15 +55,14 @@ def compare_stages(
 
     Before a stage, its parameters have nominal values and all other parameters are fitted; after
     it, its parameters are fitted too. Thus parameters of later stages cannot take over the effect
-    of the stage, and its values are those of the joint fit.
+    of the stage, and its values are those of the joint fit. A stage is rejected if the error rises
+    by more than the standard error of the difference, sample by sample; if none of its parameters
+    is significant, it is not observable.
     """
     found: list[Stage] = []
     own = np.array(stage_of)
     dry = dry_levels(problem, fitted.values)
-    off = np.where(tested.known, tested.effort - tested.matrix @ fitted.values, 0.0)
-    # This is the relative standard error of an RMS of so many independent residuals.
-    independent = effective_samples(off[:, tested.known.any(axis=0)], tested.lengths)
-    chance = float(1.0 / np.sqrt(2.0 * max(independent.sum(), 1.0)))
+    after = _weighted_errors(tested, fitted.values, fitted.solution, dry)
     for name in _LINEAR_STAGES:
         mine = fitted.kept[own[fitted.kept] == name]
         words = tuple(parameter_name(base, int(i)) for i in mine)
@@ -85,14 +85,24 @@ def compare_stages(
             problem.known, problem.resting, problem.dry[:, others], problem.lengths,
         )  # fmt: skip
         before[others] = solve(rest, intervals=False).values
+        without = _weighted_errors(tested, before, fitted.solution, dry)
+        count = max(int(np.isfinite(after).sum()), 1)
         one = HeldOut(
-            _weighted_rms(tested, before, fitted.solution, dry),
-            _weighted_rms(tested, fitted.values, fitted.solution, dry),
+            float(np.sqrt(np.nansum(without**2) / count)),
+            float(np.sqrt(np.nansum(after**2) / count)),
             "standard deviations of the fit",
         )
+        paired = compare_paired(np.nan_to_num(without), np.nan_to_num(after), tested.lengths)
+        share = paired.standard_error / max(float(np.mean(np.nansum(without**2, axis=1))), 1e-300)
+        chance = float(np.sqrt(1.0 + share)) - 1.0
         why = "" if held_out else "nothing is held out, the error is that of what was fitted"
-        stage = Stage(name, "accepted", why, words, None, EXCLUDES[name])
-        found.append(judge_stage(stage, one, chance))
+        stage = judge_stage(Stage(name, "accepted", why, words, None, EXCLUDES[name]), one, chance)
+        at = np.isin(fitted.kept, mine)
+        values, half = fitted.solution.values[at], fitted.solution.half_width[at]
+        if stage.state == "rejected" and (Z95 * np.abs(values) < SIGNIFICANT * half).all():
+            why = f"none of its parameters differs from zero by {SIGNIFICANT:g} standard deviations"
+            stage = replace(stage, state="not_observable", why=f"{why}, and {stage.why}")
+        found.append(stage)
     return tuple(found)
 
 
@@ -122,31 +132,16 @@ def with_data(
     )
 
 
-def accepted_values(
-    fitted: EssentialParameters,
-    stages: Sequence[Stage],
-    stage_of: Sequence[StageName],
-    prior: FloatArray,
-) -> FloatArray:
-    """(b,) parameters: fitted values if their stage was not rejected, else nominal ones."""
-    rejected = {stage.name for stage in stages if stage.state == "rejected"}
-    values = fitted.values
-    for i, name in enumerate(stage_of):
-        if name in rejected:
-            values[i] = prior[i]
-    return values
-
-
 def parameter_name(base: BaseParameters, at: int) -> str:
     """Return ``JOINT.KIND`` if a base parameter is one parameter, else its expression."""
     alone = np.count_nonzero(base.combination[at]) == 1
     return base.names[at] if alone else base.expressions[at]
 
 
-def _weighted_rms(
+def _weighted_errors(
     problem: LinearProblem, values: FloatArray, fitted: Solution, dry: FloatArray
-) -> float:
-    """Root mean square of the residuals, divided by the fit's noise of each joint.
+) -> FloatArray:
+    """(n, joints) residuals, divided by the fit's noise of each joint; NaN where not compared.
 
     Rows at rest of a moving joint are excluded. There, dry friction of unknown sign hides the
     effect of the stage, and a long rest is only one observation.
@@ -155,8 +150,8 @@ def _weighted_rms(
     known = problem.known & np.isfinite(deviation)
     moving = known & ~problem.resting
     known = np.where(moving.sum(axis=0) >= _ENOUGH_MOVING, moving, known)
-    off = (problem.effort - problem.matrix @ values)[known] / deviation[known]
-    return float(np.sqrt(np.mean(off**2)))
+    off = problem.effort - problem.matrix @ values
+    return np.where(known, off / np.where(known, deviation, 1.0), np.nan)
 
 
 def errors_of(

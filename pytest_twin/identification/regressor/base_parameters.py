@@ -13,9 +13,14 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.regressor.columns import Column
 from pytest_twin.identification.regressor.regressor import Regressor
 
-RANK_TOLERANCE = 1e-8
+RANK_TOLERANCE = 1e-4
 """Relative size of a column's component orthogonal to the other columns below which it is zero.
-Dependent columns have 1e-13; columns that the motion excites have more than 1e-3."""
+Dependent columns have 1e-13, or up to 1e-5 where an exporter rounded a right angle (1.5708);
+columns that the motion excites have more than 1e-3."""
+_STILL = 1e-7
+"""Relative size of a column below which the motion does not move its parameter."""
+_RELEVANT_SHARE = 1e-3
+"""Smallest coefficient, for columns of unit length, with which a motion regroups parameters."""
 _SAMPLES_PER_COLUMN = 4
 """Number of random samples for each column per joint: more equations than parameters."""
 _COEFFICIENT_TOLERANCE = 1e-9
@@ -76,6 +81,36 @@ class BaseParameters:
         """(b,) base parameters of (p,) parameters."""
         return np.asarray(self.combination @ parameters)
 
+    def regrouped(self, rows: FloatArray) -> tuple[BaseParameters, NDArray[np.bool_]]:
+        """Return the parameters that a motion distinguishes.
+
+        A parameter whose column depends on those before it is added to these: the motion determines
+        their sum. Drives come first: a weight that a motion does not vary is a constant effort.
+        Parameters that it does not move stay.
+
+        Args:
+            rows: (n, b) weighted base columns along the motion.
+
+        Returns:
+            k base parameters; (k,) True for those that the motion does not move.
+        """
+        sizes = np.linalg.norm(rows, axis=0)
+        moved = sizes > _STILL * sizes.max(initial=0.0)
+        unit = rows / np.where(moved, sizes, np.inf)
+        triangle = np.asarray(scipy.linalg.qr(unit, mode="r")[0], dtype=np.float64)
+        triangle = triangle[: rows.shape[1]]
+        of_links = [self.columns[i].is_inertial for i in self.independent]
+        order = np.argsort(of_links, kind="stable")
+        kept = np.sort(order[_independent(triangle[:, order])])
+        lost = np.flatnonzero(moved & ~np.isin(np.arange(len(self)), kept))
+        solved = np.linalg.lstsq(triangle[:, kept], triangle[:, lost], rcond=None)[0]
+        share = np.where(np.abs(solved) < _RELEVANT_SHARE, 0.0, solved)
+        combination = self.combination.copy()
+        combination[kept] += (share * sizes[lost] / sizes[kept][:, None]) @ self.combination[lost]
+        rest = np.setdiff1d(np.arange(len(self)), lost)
+        regrouped = BaseParameters(self.columns, self.independent[rest], combination[rest])
+        return regrouped, ~moved[rest]
+
     def _terms(self, row: int, said: Callable[[Column], str]) -> list[str]:
         kept = self.independent[row]
         others = [i for i in np.flatnonzero(self.combination[row]) if i != kept]
@@ -118,24 +153,30 @@ def base_of(matrix: FloatArray, columns: Sequence[Column]) -> BaseParameters:
     sizes = np.linalg.norm(stacked, axis=0)
     scale = np.where(sizes > RANK_TOLERANCE * sizes.max(initial=0.0), sizes, np.inf)
     # The triangle has the same column dependencies and at most p rows.
-    triangle = scipy.linalg.qr(stacked / scale, mode="r")[0][: len(columns)]
-    pivoted = scipy.linalg.qr(triangle, mode="r", pivoting=True)[0]
-    diagonal = np.abs(np.diag(pivoted))
-    rank = int(np.sum(diagonal > RANK_TOLERANCE * diagonal.max(initial=0.0)))
-    kept: list[int] = []
-    basis = np.zeros((triangle.shape[0], 0))
-    for at in range(len(columns)):
-        if len(kept) == rank:
-            break
-        rest = triangle[:, at] - basis @ (basis.T @ triangle[:, at])
-        rest -= basis @ (basis.T @ rest)
-        if np.linalg.norm(rest) > RANK_TOLERANCE:
-            kept.append(at)
-            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-    independent = np.array(kept, dtype=np.intp)
+    whole = np.asarray(scipy.linalg.qr(stacked / scale, mode="r")[0], dtype=np.float64)
+    triangle = whole[: len(columns)]
+    independent = np.array(_independent(triangle), dtype=np.intp)
     solved = np.linalg.lstsq(triangle[:, independent], triangle, rcond=None)[0]
     own = np.where(np.isfinite(scale), scale, 0.0)
     combination = solved * own / scale[independent][:, None]
     combination[np.abs(solved) < _COEFFICIENT_TOLERANCE] = 0.0
     combination[:, independent] = np.eye(len(independent))
     return BaseParameters(tuple(columns), independent, combination)
+
+
+def _independent(unit: FloatArray) -> list[int]:
+    """Return the columns, from left to right, that do not depend on those before them.
+
+    Args:
+        unit: (n, p) columns of unit length or zero.
+    """
+    kept: list[int] = []
+    basis = np.zeros((len(unit), 0))
+    for at, column in enumerate(unit.T):
+        rest = column - basis @ (basis.T @ column)
+        rest -= basis @ (basis.T @ rest)
+        size = float(np.linalg.norm(rest))
+        if size > RANK_TOLERANCE:
+            kept.append(at)
+            basis = np.column_stack([basis, rest / size])
+    return kept

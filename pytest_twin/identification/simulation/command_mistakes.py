@@ -44,6 +44,7 @@ def command_mistakes(trials: Sequence[Trial]) -> list[InputMistake]:
         correlation = _correlation(pairs)
         if correlation < -_FOLLOWS:
             found.append(InputMistake(
+                joint,
                 f"{joint}: the position moves against its command (correlation "
                 f"{correlation:.2f}): the sign of one of them is wrong",
                 f"calibration: joints: {joint}: {{sign: -1}} where the encoder counts the other "
@@ -51,6 +52,7 @@ def command_mistakes(trials: Sequence[Trial]) -> list[InputMistake]:
             ))  # fmt: skip
         elif correlation > _FOLLOWS and abs(math.log(ratio)) > math.log(_FAR):
             found.append(InputMistake(
+                joint,
                 f"{joint}: the position changes by {ratio:.3g} where the command changes by 1: "
                 "another unit, or the other side of a gear",
                 f"record {joint}'s position and command in one unit, on the joint's side of the "

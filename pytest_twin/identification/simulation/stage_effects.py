@@ -31,7 +31,7 @@ FURTHER: Mapping[StageName, tuple[str, ...]] = {
 }  # fmt: skip
 """Stage -> effects that it adds if they reduce the held-out error."""
 AFTER_EFFORT: Mapping[StageName, tuple[str, ...]] = {
-    "drive": (*FURTHER["drive"], "asymmetric_friction"),
+    "drive": (*FURTHER["drive"], "asymmetric_friction", "command_delay"),
     "closed_loop": FURTHER["friction"],
 }
 """The same as ``FURTHER`` where measured effort has determined inertia and friction. The constant
