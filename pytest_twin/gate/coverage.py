@@ -38,15 +38,15 @@ def gaps(outcomes: Collection[Outcome]) -> tuple[Gap, ...]:
             Gap(
                 "not audited",
                 f"not audited: no golden of kind {AUDIT} checks the model's file; "
-                "pytest --twin-update adds one",
+                "pytest --twin-update adds one for a URDF, MJCF or USD file",
             )
         )
     elif unaudited:
         gaps_found.append(
             Gap(
                 f"{join_words(unaudited)} not audited",
-                f"not audited: {join_words(unaudited)}; add it under realizations: of the golden "
-                f"of kind {AUDIT}",
+                f"not audited: {join_words(unaudited)}; if its file is a URDF, MJCF or USD, add it "
+                f"under realizations: of the golden of kind {AUDIT}",
             )
         )
     gaps_found += [

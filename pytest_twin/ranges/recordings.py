@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,9 +10,12 @@ import numpy as np
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.records.basis import Basis
 from pytest_twin.trial import Trial, make_trials, recordings_at
+from pytest_twin.trial.repeated_motion import repeats_motion
 from pytest_twin.trial.roles import FINAL, FIT, HELD_OUT
 from pytest_twin.twin import Twin
 
@@ -22,6 +25,7 @@ _FEWEST = 8
 """Smallest number of samples of a trace."""
 _SHORTEST_S = 0.2
 """Smallest duration of a trace."""
+_HELD_OUT_TOO = "it is held out too, and may widen the ranges"
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,8 @@ def read_check_recordings(
         topics: role of a topic -> topic.
 
     Raises:
-        RecordingError: a final recording was used for a record, is held out, or has another role.
+        RecordingError: a final recording was used for a record, is held out, has another role, or
+            repeats the motion of one that was used.
         TwinError: a recording cannot be read.
     """
     notes: list[str] = []
@@ -82,6 +87,10 @@ def read_check_recordings(
             if role in found and not named[role]:
                 found[role].append(trial)
     _refuse_used(found[FINAL], found[HELD_OUT], twin)
+    if found[FINAL]:
+        fitted = _fitted_trials(twin, realization, options, topics, notes)
+        held = ((_HELD_OUT_TOO, trial) for trial in found[HELD_OUT])
+        _refuse_repeated(found[FINAL], (*fitted, *held))
     return RecordingsByRole(
         tuple(found[FINAL]), tuple(found[HELD_OUT]), tuple(dict.fromkeys(notes))
     )
@@ -148,8 +157,7 @@ def _refuse_used(final: Sequence[Trial], held_out: Sequence[Trial], twin: Twin) 
     """Refuse final recordings that a record was made from, by their digests."""
     made_from = [
         *((entry.record.id, entry.record.inputs) for entry in twin.calibrations),
-        *((fit.record.id, fit.record.inputs) for fit in twin.fits),
-        *((group.record.id, group.record.inputs) for group in twin.ranges.trials),
+        *((record.id, record.inputs) for record in _identifications(twin)),
     ]
     used = {
         sha256: f"{ident!r} was made from it ({name})"
@@ -158,12 +166,58 @@ def _refuse_used(final: Sequence[Trial], held_out: Sequence[Trial], twin: Twin) 
     }
     for trial in held_out:
         if trial.path.is_file():
-            used.setdefault(file_sha256(trial.path), "it is held out too, and may widen the ranges")
+            used.setdefault(file_sha256(trial.path), _HELD_OUT_TOO)
     for path in dict.fromkeys(trial.path for trial in final):
         why = used.get(file_sha256(path)) if path.is_file() else None
         if why is not None:
-            raise RecordingError(
-                f"a final recording that was used before: {why}",
-                path=path,
-                expected="recordings that no fit, calibration, or range was made from",
-            )
+            raise _used_before(path, why)
+
+
+def _refuse_repeated(final: Sequence[Trial], used: Iterable[tuple[str, Trial]]) -> None:
+    """Refuse final recordings whose motion is in a recording that was used, under another name.
+
+    Args:
+        final: final recordings.
+        used: why a recording is used, and its trial.
+    """
+    for why, other in used:
+        for trial in final:
+            if repeats_motion(trial, other):
+                raise _used_before(
+                    trial.path, f"its measured motion is that of {other.path.name}; {why}"
+                )
+
+
+def _used_before(path: Path, why: str) -> RecordingError:
+    return RecordingError(
+        f"a final recording that was used before: {why}",
+        path=path,
+        expected="recordings that no fit, calibration, or range was made from",
+    )
+
+
+def _identifications(twin: Twin) -> list[IdentificationRecord]:
+    return [
+        *(fit.record for fit in twin.fits),
+        *(group.record for group in twin.ranges.trials),
+    ]
+
+
+def _fitted_trials(
+    twin: Twin, realization: Realization, options: RecordingOptions, topics: Mapping[str, str],
+    notes: list[str],
+) -> Iterator[tuple[str, Trial]]:  # fmt: skip
+    """Trials of the recordings that identifications were made from, where they are still there."""
+    for record in _identifications(twin):
+        if record.basis is None:
+            continue
+        for name, (file, _) in Basis.from_json(record.basis, record.path).files.items():
+            path = (record.path.parent / file).resolve()
+            if not path.exists():
+                notes.append(
+                    f"{name}, which {record.id!r} was made from, is not there: whether a final "
+                    "recording repeats its motion is not known"
+                )
+                continue
+            for trial in _trials(path, realization, options, topics, []):
+                yield f"{record.id!r} was made from it", trial

@@ -18,6 +18,7 @@ from ranges_files import MEANS, covariance, make_twin, record, record_motion, tr
 
 from pytest_twin import cli
 from pytest_twin.commands import randomize as command
+from pytest_twin.formats.recordings import read_one
 from pytest_twin.formats.schema import load_schema
 
 
@@ -196,3 +197,40 @@ def test_a_recording_given_as_final_and_held_out_is_refused(
     path = str(record_final(twin, MEANS, role="held_out"))
     output = error_line(twin, capsys, "--final", path, "--held-out", path)
     assert "it is held out too, and may widen the ranges" in output
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.6])
+def test_a_final_recording_that_is_a_copy_in_another_format_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kept: float
+) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    path = record_final(twin, MEANS, role="held_out")
+    series = read_one(path).series
+    state, command = series["state"], series["command"]
+    rows = round(kept * len(state.stamp))
+    copy = tmp_path / "copy.csv"
+    names = [f"{name}.{field}" for field in ("position", "command") for name in state.names]
+    values = np.column_stack(
+        [state.position, np.stack([
+            np.interp(state.stamp, command.stamp, column) for column in command.position.T
+        ], axis=1)]
+    )  # fmt: skip
+    lines = [
+        ",".join([str(stamp), *(f"{value:.6f}" for value in row)])
+        for stamp, row in zip(state.stamp[:rows], values[:rows], strict=True)
+    ]
+    copy.write_text("\n".join([",".join(["time", *names]), *lines]) + "\n")
+    output = error_line(twin, capsys, "--final", str(copy))
+    assert "its measured motion is that of final.mcap; it is held out too" in output
+
+
+def test_another_run_of_the_same_motion_is_no_copy(tmp_path: Path) -> None:
+    twin = make_twin(tmp_path, [record(covariance())])
+    trials = [
+        record_motion(
+            tmp_path / f"{name}.mcap", true_arm(MEANS), np.random.default_rng(3), 2.0, role, bias
+        )
+        for name, role, bias in (("a", "final", 0.0), ("b", "held_out", 0.05))
+    ]
+    words = ["--final", str(trials[0]), "--held-out", str(trials[1]), "--draws", "64"]
+    assert cli.main(["randomize", str(twin), "--out", str(tmp_path / "out"), *words]) != 2
