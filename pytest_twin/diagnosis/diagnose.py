@@ -28,6 +28,7 @@ from pytest_twin.diagnosis.integrator_detection import (
     adopt_simulation_step,
     describe_integrator,
 )
+from pytest_twin.diagnosis.longest_windows import LongWindows, errors_over_longest_windows
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.prepare import PreparedProblem, shared_joints
@@ -55,7 +56,7 @@ from pytest_twin.diagnosis.unnamed_law.confirmation import (
 )
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
 from pytest_twin.diagnosis.verdict import JointError, Verdict, stated_verdict
-from pytest_twin.diagnosis.window_length import tested_window
+from pytest_twin.diagnosis.window_length import window_of_errors
 from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.realization import Realization
@@ -69,6 +70,8 @@ class Diagnosis:
 
     Attributes:
         verdict: the conclusion in one word.
+        longest_windows: errors over the longest windows that the model with the findings follows,
+            if windows were predicted and all their errors are at the noise floor.
         explanation: findings.
         errors: joint -> prediction error on held-out recordings, or on all recordings if none is
             held out.
@@ -86,6 +89,7 @@ class Diagnosis:
     """
 
     verdict: Verdict
+    longest_windows: LongWindows | None
     explanation: Explanation
     errors: Mapping[str, JointError]
     unexplained_residuals: Mapping[str, UnexplainedResidual]
@@ -115,16 +119,14 @@ class Diagnosis:
                 *self.free.findings_json,
             ],
             "small_corrections": [finding_json(f) for f in self.explanation.findings if f.small],
-            "held_out": {
-                joint: {
-                    "rms_before": e.before,
-                    "rms_after": e.after,
-                    "floor": e.floor,
-                    "unit": e.unit,
-                }
-                for joint, e in self.errors.items()
+            "held_out": _errors_json(self.errors),
+            "tested_windows": window_of_errors(tested.problem),
+            "longest_windows": None
+            if self.longest_windows is None
+            else {
+                "seconds": self.longest_windows.seconds,
+                "held_out": _errors_json(self.longest_windows.errors),
             },
-            "tested_windows": tested_window(tested.problem),
             "floor": {
                 source: dict(zip(tested.problem.joints, map(float, rms), strict=True))
                 for source, rms in tested.floor_parts.items()
@@ -162,6 +164,19 @@ class Diagnosis:
             "validation": _names([t for t in used.fit if t.path in validates]),
             "held_out": _names(used.held_out),
         }
+
+
+def _errors_json(errors: Mapping[str, JointError]) -> dict[str, dict[str, float | str]]:
+    """Errors as in ``diagnosis.json``."""
+    return {
+        joint: {
+            "rms_before": e.before,
+            "rms_after": e.after,
+            "floor": e.floor,
+            "unit": e.unit,
+        }
+        for joint, e in errors.items()
+    }
 
 
 def _names(trials: Sequence[Trial]) -> list[str]:
@@ -231,7 +246,11 @@ def diagnose(
         progress(0.88)
         evaluated = evaluate_on_test(structure, trials, roles.test)
         tested, unexplained_residuals = evaluated.tested, dict[str, UnexplainedResidual]()
-        stated = stated_verdict(tested.verdict, tested.errors)
+        stated, longest = stated_verdict(tested.verdict, tested.errors), None
+        if stated == "explained":
+            longest = errors_over_longest_windows(tested, structure.setup)
+        if longest is not None:
+            stated = stated_verdict(stated, longest.errors)
         if stated in ("improved", "unexplained"):
             unexplained_residuals = locate_unexplained(tested, *evaluated.location)
         free = confirm_on_test(
@@ -248,7 +267,7 @@ def diagnose(
         run.budget.add(problem)
     explanation = with_interpolation_uncertainty(evaluated.explanation, undetermined)
     return Diagnosis(
-        stated, explanation, free.tested.errors, unexplained_residuals,
+        stated, longest, explanation, free.tested.errors, unexplained_residuals,
         tuple(dict.fromkeys(notes)),
         structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
         measure_cost(run.budget, since, structure.comparison_simulations), signals,

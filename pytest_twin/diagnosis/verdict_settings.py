@@ -16,8 +16,9 @@ class VerdictSettings:
         at_floor: floors up to which an RMS residual counts as noise. The floor is an estimate, and
             micro-slip of real joints and MuJoCo's soft contacts leave residuals of 2 to 3 floors.
         identifiable: floors below which a signal contains no identifiable effect.
-        left: share of the squared error up to which a residual counts as explained, ...
-        left_floors: ... if it is also below this many floors. Above, it is a mismatch of its own.
+        left: share of the squared error up to which a search may end, ...
+        left_floors: ... if the residual is also below this many floors. Above, it is a mismatch of
+            its own.
         of_travel: share of a joint's travel up to which an error is of no consequence where small
             corrections of the model explain it: 1 mrad of 1 rad is at the repeatability of ordinary
             arms.

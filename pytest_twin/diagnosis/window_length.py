@@ -19,7 +19,7 @@ def typical_window_length(problem: Problem) -> float:
     return float(np.median([s.time[-1] - s.time[0] for s in problem.simulator.segments]))
 
 
-def tested_window(problem: Problem) -> float | None:
+def window_of_errors(problem: Problem) -> float | None:
     """Duration of the windows in which the errors of a problem are measured, s.
 
     None if whole recordings are predicted, each from its first state.

@@ -49,8 +49,6 @@ def view_of(
         tried=found.selected.candidate_count,
         laws={id: (law.law, law.source) for id, law in catalogue().items()},
         at_floor=VERDICT.at_floor,
-        share_left=VERDICT.left,
-        left_floors=VERDICT.left_floors,
     )
 
 

@@ -107,8 +107,11 @@ def _measured(document: Mapping[str, Any]) -> str:
     if document["verdict"] == "unexplained" or not document.get("held_out"):
         return ""
     error = "rms_before" if document["verdict"] == "no_mismatch" else "rms_after"
-    floors, joint = max((e[error] / e["floor"], j) for j, e in document["held_out"].items())
-    seconds = document.get("tested_windows")
+    longest = document.get("longest_windows") or {
+        "held_out": document["held_out"], "seconds": document.get("tested_windows"),
+    }  # fmt: skip
+    floors, joint = max((e[error] / e["floor"], j) for j, e in longest["held_out"].items())
+    seconds = longest["seconds"]
     windows = f", over windows of {number(seconds)} s" if seconds else ""
     at = f" at {joint}" if len(document["held_out"]) > 1 else ""
     return f" (at most {floors:.2g} noise floors{at}{windows})"
@@ -153,8 +156,6 @@ def render(view: DiagnosisView) -> str:
         frequency_rows=rows_of(document.get("frequency_response", ())),
         frequency_figures=figures_of(document.get("frequency_response", ())),
         at_floor=view.at_floor,
-        share_left=view.share_left,
-        left_floors=view.left_floors,
     )
 
 

@@ -82,7 +82,7 @@ class DiagnosisView:
         outside_mjcf: effects that MJCF cannot express, applied by ``pytest-twin replay``.
         tried: number of candidate effects.
         laws: effect -> (equation, source).
-        at_floor, share_left, left_floors: limits of an explained joint, see
+        at_floor: noise floors up to which a joint is explained, see
             :mod:`pytest_twin.diagnosis.verdict`.
     """
 
@@ -98,5 +98,3 @@ class DiagnosisView:
     tried: int
     laws: Mapping[str, tuple[str, str]]
     at_floor: float
-    share_left: float
-    left_floors: float

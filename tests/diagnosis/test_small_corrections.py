@@ -105,3 +105,13 @@ def test_the_headline_has_the_residual_in_noise_floors_and_the_windows_of_its_me
     assert headline(of_windows).endswith(
         "a residual remains (at most 4.4 noise floors at elbow, over windows of 0.5 s)"
     )
+
+
+def test_the_headline_names_the_longest_windows_that_the_model_follows() -> None:
+    error = {"rms_before": 0.01, "rms_after": 2e-4, "floor": 2e-4, "unit": "rad"}
+    longer = {"seconds": 4.0, "held_out": {"elbow": {**error, "rms_after": 1.6e-3}}}
+    diagnosis = {
+        "verdict": "improved", "held_out": {"elbow": error}, "tested_windows": 0.5,
+        "longest_windows": longer,
+    }  # fmt: skip
+    assert headline(diagnosis).endswith("(at most 8 noise floors, over windows of 4 s)")

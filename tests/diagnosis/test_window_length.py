@@ -9,12 +9,13 @@ import pytest
 from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
 
 from pytest_twin.diagnosis.effect_selection import EffectSelection
+from pytest_twin.diagnosis.longest_windows import errors_over_longest_windows
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_recordings import search_shorter_windows
 from pytest_twin.diagnosis.search_result import SearchResult, build_problem, search
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.diagnosis.window_length import model_follows_recordings
+from pytest_twin.diagnosis.window_length import model_follows_recordings, window_of_errors
 from pytest_twin.loaded_model import load_model
 
 GRAVITY, NOISE = 9.81, 1e-4
@@ -115,6 +116,20 @@ def test_a_model_follows_recordings_up_to_a_quarter_of_the_travel(light: SearchR
     left = np.ones_like(light.before)
     assert model_follows_recordings(problem, 0.24 * level * left)
     assert not model_follows_recordings(problem, 0.26 * level * left)
+
+
+def test_an_error_that_short_windows_hide_is_measured_in_the_longest_that_the_model_follows(
+    tmp_path: Path,
+) -> None:
+    """An inverted pendulum falls faster and faster away from a model with another payload."""
+    setup, found = search_without_result(tmp_path, load=0.02)
+    short = window_of_errors(found.prepared.problem)
+    assert short is not None
+    longest = errors_over_longest_windows(found, setup)
+    assert longest is not None
+    assert longest.seconds >= 2.0 * short
+    (before,), (after,) = found.errors.values(), longest.errors.values()
+    assert after.after / after.floor > 2.0 * before.after / before.floor
 
 
 def test_the_result_is_kept_if_shorter_windows_find_nothing(
