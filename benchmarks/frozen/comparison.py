@@ -186,6 +186,8 @@ def table(rows: Sequence[tuple[str, Judged, Judged | None]]) -> Iterator[str]:
     for family, answers in sorted(families.items()):
         columns = [[old for old, _ in answers], [new for _, new in answers if new is not None]]
         for figure, values in zip(FIGURES, zip(*map(_pooled, columns), strict=True), strict=True):
+            if set(values) <= {"0 of 0", "none"}:
+                continue
             yield f"| {family} | {figure} | {values[0]} | {values[1]} |"
 
 

@@ -52,7 +52,7 @@ def with_friction(tmp_path: Path) -> tuple[Realization, TrialSet]:
 def test_a_stopped_search_returns_the_best_result_so_far(
     with_friction: tuple[Realization, TrialSet], accepted: int
 ) -> None:
-    """Effects whose alternatives were not simulated have a confidence of at most 80 %."""
+    """An effect whose alternatives were not simulated is not sure."""
     budget = Budget()
     run = Run(budget, Trace(lambda step: budget.stop() if step.decision == "accepted" else None))
     if not accepted:

@@ -176,7 +176,7 @@ def test_a_note_says_that_findings_of_a_single_recording_are_not_tested(tmp_path
     assert any("one recording only" in note for note in trials.notes)
     found = diagnose(loaded.realization, trials)
     assert found.explanation.findings[0].effect == "viscous_friction"
-    assert found.explanation.findings[0].confidence <= 0.8
+    assert found.explanation.findings[0].confidence <= 0.9
     assert any("those of the fitted recordings" in note for note in found.notes)
 
 
