@@ -18,7 +18,7 @@ from pytest_twin.budget.lines import (
 )
 from pytest_twin.budget.propagate import Spread
 from pytest_twin.budget.task import Task, task_of
-from pytest_twin.budget.unmodelled_errors import unmodelled_errors
+from pytest_twin.budget.unmodelled_errors import unmodelled_errors, untested_conditions
 from pytest_twin.budget.verdict import QUANTITIES, assess
 from pytest_twin.errors import TwinError
 from pytest_twin.gate.specs import load_golden, spec_paths
@@ -88,7 +88,13 @@ def budget(
     return {
         "schema": 1,
         "twin": twin.name,
-        **assess(drawn, unmodelled, spec, is_complete=not limit.not_tried),
+        **assess(
+            drawn,
+            unmodelled,
+            spec,
+            is_complete=not limit.not_tried,
+            untested=untested_conditions(task, twin, superseded),
+        ),
         "output": {
             "frame": task.frame,
             "frame_source": task.frame_source,

@@ -39,6 +39,7 @@ class Task:
         source: description of where the readings come from.
         trial: motion with commands, at most ``SIMULATED_S`` long, or None.
         notes: messages on assumptions.
+        payloads, controllers: names of those that the metadata of the task's recordings state.
     """
 
     frame: str
@@ -49,6 +50,8 @@ class Task:
     source: str
     trial: Trial | None = None
     notes: tuple[str, ...] = ()
+    payloads: frozenset[str] = frozenset()
+    controllers: frozenset[str] = frozenset()
 
 
 def task_of(twin: Twin, realization: Realization) -> Task:
@@ -73,7 +76,18 @@ def task_of(twin: Twin, realization: Realization) -> Task:
         empty = np.zeros((0, len(chain.joints)))
         found = _without_motion(twin, realization, Task(frame, source, chain, empty, None, ""))
     trial = trials[0].until(SIMULATED_S) if trials else None
-    return replace(found, trial=trial, notes=tuple(notes))
+    return replace(
+        found,
+        trial=trial,
+        notes=tuple(notes),
+        payloads=_stated(trials, "payload"),
+        controllers=_stated(trials, "controller"),
+    )
+
+
+def _stated(trials: list[Trial], name: str) -> frozenset[str]:
+    """Values of one field in the metadata of trials."""
+    return frozenset(value for trial in trials if (value := trial.metadata.get(name)))
 
 
 def _frame(twin: Twin, realization: Realization) -> tuple[str, str]:

@@ -11,6 +11,7 @@ from pytest_twin.budget.lines import Line
 from pytest_twin.budget.propagate import Spread, first_order
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
+from pytest_twin.records.basis import Basis
 from pytest_twin.twin import Twin
 
 
@@ -60,6 +61,35 @@ def unmodelled_errors(
         for ident, kind, over, position, rotation in errors
         if ident not in superseded and (position is not None or rotation is not None)
     ]
+
+
+def untested_conditions(task: Task, twin: Twin, superseded: Collection[str]) -> str:
+    """Payloads and controllers of the task under which no record of the drives was made.
+
+    Returns:
+        A sentence; empty if the task's recordings state none, or a record covers each.
+    """
+    bases = [
+        Basis.from_json(fit.record.basis, fit.record.path).uses
+        for fit in twin.fits
+        if fit.record.id not in superseded and fit.record.basis is not None
+    ]
+    if not bases:
+        return ""
+    untested = [
+        f"{kind} {name!r}"
+        for kind, of_task, of_records in (
+            ("payload", task.payloads, {name for uses in bases for name in uses.payloads}),
+            ("controller", task.controllers, {name for uses in bases for name in uses.controllers}),
+        )
+        for name in sorted(of_task - of_records)
+    ]
+    if not untested:
+        return ""
+    return (
+        f"the task's recordings have {' and '.join(untested)}, under which no record was made or "
+        "tested, so the errors there are not known"
+    )
 
 
 def frame_error(task: Task, joints: Mapping[str, float]) -> Spread | None:

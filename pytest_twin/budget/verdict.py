@@ -21,6 +21,7 @@ def assess(
     spec: BudgetSpec,
     *,
     is_complete: bool = True,
+    untested: str = "",
 ) -> dict[str, Any]:
     """Return the verdict of a budget, with the bound of each quantity against its tolerance.
 
@@ -37,6 +38,8 @@ def assess(
         spec: tolerance of the task.
         is_complete: whether every record was tried. Otherwise more errors can only exceed the
             tolerance.
+        untested: conditions of the task that no record was tested under, as a sentence. The errors
+            may then be larger than the stated ones.
     """
     bounds = {
         quantity: _bound(
@@ -44,7 +47,7 @@ def assess(
             None if total is None else getattr(total, f"worst_{quantity}"),
             [entry for entry in unmodelled if entry[quantity] is not None],
             getattr(spec, quantity),
-            is_complete,
+            "not every record was tried before the command ended" if not is_complete else untested,
         )
         for quantity in QUANTITIES
     }
@@ -87,7 +90,7 @@ def _bound(
     estimated: float | None,
     held_out: Sequence[Mapping[str, Any]],
     tolerance: float | None,
-    is_complete: bool,
+    doubt: str,
 ) -> dict[str, Any]:
     largest = max(held_out, key=lambda entry: entry[quantity]["beyond"], default=None)
     beyond = None if largest is None else float(largest[quantity]["beyond"])
@@ -98,8 +101,8 @@ def _bound(
         state, why = UNKNOWN, f"budget: tolerance: of twin.yaml states no {quantity}"
     elif rms is not None and rms > tolerance:
         state, why = EXCEEDED, "the root mean square error is above the tolerance"
-    elif not is_complete:
-        state, why = UNKNOWN, "not every record was tried before the command ended"
+    elif doubt:
+        state, why = UNKNOWN, doubt
     elif beyond is None:
         state = UNKNOWN
         why = f"no record has a held-out {quantity} error, so unmodelled errors are not known"

@@ -170,6 +170,7 @@ def record_motion(
     effort: np.ndarray,
     joints: tuple[str, ...] = ("shoulder", "elbow"),
     velocity: np.ndarray | None = None,
+    payload: str = "",
 ) -> None:
     """Write a recording with commanded efforts; the sample period is 10 ms."""
     stamps = 10_000_000 * np.arange(len(position), dtype=np.int64) + 10**18
@@ -177,4 +178,5 @@ def record_motion(
         JointSeries("/joint_states", joints, stamps, stamps, position, velocity, None),
         JointSeries("/joint_commands", joints, stamps, stamps, None, None, effort),
     ]
-    write_recording(path, series, {"command_between": "held"})
+    stated = {"payload": payload} if payload else {}
+    write_recording(path, series, {"command_between": "held"} | stated)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.append(str(Path(__file__).parent))
 
-from budget_files import declared, fit_record, make_twin, zeros_record
+from budget_files import declared, fit_record, make_twin, record_motion, zeros_record
 
 from pytest_twin.budget.budget_of_twin import budget_of_file
 
@@ -72,3 +73,25 @@ def test_held_out_error_of_a_record_without_covariance_counts(tmp_path: Path) ->
     )
     assert found["verdict"] == "exceeded"
     assert found["bounds"]["position"]["unmodelled_of"] == "fitted"
+
+
+@pytest.mark.parametrize("payload", ["kg05", "kg20"])
+def test_a_payload_that_no_record_was_made_with_is_not_within_the_tolerance(
+    tmp_path: Path, payload: str
+) -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    position = 0.2 * np.column_stack([np.sin(3 * time), np.cos(2 * time)])
+    record_motion(tmp_path / "task.mcap", position, np.zeros_like(position), payload=payload)
+    fit = fit_record(["shoulder.viscous_friction"], [1e-6], ["N*m*s/rad"], {"shoulder": 1e-5})
+    fit["basis"] = {
+        "model": "", "has_twin": True, "uses": {"payloads": ["kg05"]}, "parts": {}, "files": {},
+    }  # fmt: skip
+    task = "  recordings: [task.mcap]\n  tolerance: {position: 0.5}\n"
+    known = f"payloads: {{{payload}: {{fore: {{mass: 0.5}}}}}}\n"
+    found = verdict_of(tmp_path, [zeros_record(SMALL, held_out={"distance_rms": 0.0005})],
+        task + known, [fit])  # fmt: skip
+    if payload == "kg05":
+        assert found["verdict"] == "within"
+    else:
+        assert found["verdict"] == "unknown"
+        assert "the task's recordings have payload 'kg20', under which no" in found["words"][0]
