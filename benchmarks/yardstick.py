@@ -104,8 +104,6 @@ def answer_row(
     folder = args.work / problem.name
     out = folder / "out"
     command = [problem.command, *inputs.arguments(), *LIMITS[limit], "--out", str(out)]
-    if problem.command == "identify":
-        command = [word for word in command if word not in LIMITS["none"]]
     ended = run(args.entry, command, folder, PROCESSOR_SECONDS if limit == "none" else 0)
     found: answers.Answer = {
         "row": row, "digest": inputs.digest(), "entry": args.entry, "revision": revision(),

@@ -59,8 +59,8 @@ def main() -> int:
     if int(limit):
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit)))
     module, _, name = entry.partition(":")
-    # The folder of this script has a `problem` and a `compare`, which are no modules of the entry.
-    sys.path.pop(0)
+    # An entry may be a script of benchmarks/, and none is beside this file.
+    sys.path[0] = str(Path(__file__).parents[1])
     return int(getattr(importlib.import_module(module), name)(arguments))
 
 
