@@ -18,6 +18,7 @@ _MASS = 0.2  # kg, of the object
 _LOAD = 1.962  # N, its weight; it is pressed as hard where it has none
 _MOST_FRICTION = 4.0  # largest coefficient at which the ball on a link slips
 _FRICTION_ROUNDING = 1e-9
+_MOST_BESIDE = 8  # surfaces of equal parameters beside which a ball is tried; each takes 0.1 to 1 s
 _START = 0.03  # m, from the bounding sphere of a link to the centre of a ball beside it
 _BALL: Mapping[str, Any] = {"shape": "sphere", "size": [0.02], "mass": f"{_MASS:g} kg"}
 _ON_A_LINK: Mapping[str, Any] = {
@@ -191,7 +192,7 @@ def _slides_over(alike: list[_Surface], pose: Mapping[str, Any]) -> Iterator[Spe
     """Yield variants: the ball starts above each surface, then below and beside it."""
     yield from (_slide_over(surface, pose, {}) for surface in alike)
     for axis, sign in ((2, -1.0), (1, 1.0), (1, -1.0), (0, 1.0), (0, -1.0)):
-        for surface in alike:
+        for surface in alike[:_MOST_BESIDE]:
             offset = list(surface.center)
             offset[axis] += sign * (surface.radius + _START)
             yield _slide_over(surface, pose, {"frame": surface.body, "offset": offset})

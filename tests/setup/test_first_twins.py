@@ -130,7 +130,7 @@ def test_a_missing_or_wrong_file_is_refused_with_one_line(name: str, tmp_path: P
     assert made.returncode == 2
     assert made.stderr == (
         f"pytest-twin init: {name}: no robot file "
-        "(expected a URDF (.urdf) or an MJCF (.xml) file)\n"
+        "(expected a URDF (.urdf), an MJCF (.xml) or a xacro file (.xacro))\n"
     )
     assert not (tmp_path / "twin.yaml").exists()
 
