@@ -35,6 +35,7 @@ class TimeLimit:
         self._clock = clock
         self._start = clock() if begin is None else begin
         self._ended = ""
+        self._is_stopped = False
         self.not_tried: list[str] = []
 
     def is_over(self) -> bool:
@@ -42,7 +43,7 @@ class TimeLimit:
         if self._ended:
             return True
         if is_stop_requested():
-            self._ended = "it was stopped"
+            self._ended, self._is_stopped = "it was stopped", True
         elif self.seconds and self._clock() - self._start > self.seconds:
             self._ended = f"its {self.seconds:g} processor seconds were over"
         return bool(self._ended)
@@ -67,9 +68,10 @@ class TimeLimit:
             return ""
         left = f" Not tried: {'; '.join(self.not_tried)}." if self.not_tried else ""
         so = f" {otherwise}." if otherwise else ""
+        more = "" if self._is_stopped else " with a larger --seconds (0: no limit)"
         return (
-            f"the command ended early, because {self._ended}.{left}{so} For a complete result "
-            "run it again with a larger --seconds (0: no limit)"
+            f"the command ended early, because {self._ended}.{left}{so} Run it again{more} for a "
+            "complete result"
         )
 
     @property

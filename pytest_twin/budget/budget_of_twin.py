@@ -191,7 +191,9 @@ def _category(
         for one in part["estimates"]
     ]
     moves = total_of([line.drawn for line in leading if line.drawn is not None])
-    state = "measured" if leading else "counted_elsewhere" if elsewhere else "not_measured"
+    # A record that was not tried may measure it.
+    unmeasured = "not_tried" if current_limit().not_tried else "not_measured"
+    state = "measured" if leading else "counted_elsewhere" if elsewhere else unmeasured
     records = [line.record for line in holding]
     beyond = None
     if category.id == "unmodelled" and unmodelled:

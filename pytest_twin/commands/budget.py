@@ -79,7 +79,9 @@ def _words(document: dict[str, Any]) -> list[str]:
     lines += [f"  {line}" for line in document["words"]]
     lines.append(f"  {output['frame_source']}; {output['poses_source']}")
     if total["sampled"] is None:
-        lines.append("  by the estimates: no record of this twin affects the frame")
+        none = "no record of this twin affects the frame"
+        why = "no record was tried" if document["not_tried"] else none
+        lines.append(f"  by the estimates: {why}")
     else:
         lines.append(f"  by the estimates: {_size(total['sampled'])}{_share(total['share'])}")
     for one in document["categories"]:
@@ -90,6 +92,8 @@ def _words(document: dict[str, Any]) -> list[str]:
 
 
 def _state(one: dict[str, Any]) -> str:
+    if one["state"] == "not_tried":
+        return "not known: not every record was tried"
     if one["state"] == "not_measured":
         return f"not measured; {one['measured_by']}"
     if one["state"] == "counted_elsewhere":

@@ -115,6 +115,10 @@ def find_safe(
             if at not in safe and round_ < len(attempts[at]) and not is_over()
         ]  # fmt: skip
         progress(1.0 - len(open_) / total)
+    if is_over():
+        for at in range(len(designs)):
+            if at not in safe and broken[at][0] < len(attempts[at]):
+                skips(designs[at].name)
     refused = [
         RejectedDesign(design, *broken[at]) for at, design in enumerate(designs) if at not in safe
     ]

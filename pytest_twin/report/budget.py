@@ -15,6 +15,7 @@ _STATES = {
     "measured": "measured",
     "counted_elsewhere": "counted with",
     "not_measured": "not measured",
+    "not_tried": "not known: not every record was tried",
 }
 
 

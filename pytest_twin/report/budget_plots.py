@@ -115,7 +115,7 @@ def _value(one: Mapping[str, Any], quantity: str) -> float | None:
 
 
 def _why(one: Mapping[str, Any]) -> str:
-    if one["state"] == "not_measured":
+    if one["state"] in ("not_measured", "not_tried"):
         return "not measured"
     if one["state"] == "counted_elsewhere":
         return printable(f"counted with {', '.join(one['counted_in'])}")
