@@ -18,11 +18,12 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
 from pytest_twin.release.envelope import short_key_id
 from pytest_twin.release.folder import RELEASES
+from pytest_twin.release.rollback import changed_files
 from pytest_twin.release.stamp import StampVerdict
 from pytest_twin.release.verify import ENVELOPE
 from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, load_twin
-from pytest_twin.words import counted
+from pytest_twin.words import counted, list_names
 
 HELP = "check signature, all digests and age of a release, or the stamp of a data set"
 EXAMPLES = (
@@ -72,16 +73,33 @@ def run(args: argparse.Namespace) -> int:
         _check_outside(Path(args.json), folder)
     verdict = release.check(folder, keys=args.keys, remember=True)
     twin_file: Path = args.release / FILE_NAME
+    differences: list[str] = []
     if args.release != folder and twin_file.is_file():
+        differences = _changed_since(args.release, verdict.release)
         verdict = replace(verdict, problems=(*verdict.problems, *_stale_records(twin_file)))
     proofs = [] if verdict.release is None else verdict.release.goldens.values()
     untested = gaps([proof.outcome for proof in proofs])
     json_output.give(
         args,
-        verdict.to_json() | {"path": str(folder), "not_tested": [gap.sentence for gap in untested]},
+        verdict.to_json()
+        | {
+            "path": str(folder),
+            "not_tested": [gap.sentence for gap in untested],
+            "changed_since": differences,
+        },
     )
-    show(_words(verdict, folder, untested))
+    show(_words(verdict, folder, untested, differences))
     return HOLDS if verdict.holds else DOES_NOT_HOLD
+
+
+def _changed_since(root: Path, released: release.Release | None) -> list[str]:
+    """Files of the twin that differ from those of a release; the release itself may be valid."""
+    if released is None:
+        return []
+    try:
+        return [change.path for change in changed_files(root, released)]
+    except TwinError as error:
+        return [str(error)]
 
 
 def _stale_records(twin_file: Path) -> Iterator[release.ReleaseProblem]:
@@ -149,14 +167,17 @@ def _check_outside(path: Path, folder: Path) -> None:
         )
 
 
-def _words(verdict: release.Verdict, folder: Path, untested: Sequence[Gap]) -> str:
+def _words(
+    verdict: release.Verdict, folder: Path, untested: Sequence[Gap], differences: Sequence[str]
+) -> str:
     found = verdict.release
     if found is None:
         lines = [f"does not hold: {folder}"]
     else:
         header = found.header
         name = f"release {header.number} of {header.twin!r}"
-        name = ", ".join((name, *(gap.name for gap in untested)))
+        changed = (f"{counted(len(differences), 'file')} changed since",) if differences else ()
+        name = ", ".join((name, *(gap.name for gap in untested), *changed))
         lines = [f"holds: {name}" if verdict.holds else f"does not hold: {name}"]
         lines.append(
             f"  made {header.created}, valid until {header.expires}, "
@@ -170,6 +191,11 @@ def _words(verdict: release.Verdict, folder: Path, untested: Sequence[Gap]) -> s
                 f"{counted(len(found.files), 'file')} in the release{also}"
             )
     lines += [f"  {gap.sentence}" for gap in untested]
+    if differences:
+        lines.append(
+            f"  the twin is not the released one: {list_names(differences)} changed or gone; "
+            "pytest --twin-why says what is stale"
+        )
     lines += [f"  {problem.text}" for problem in verdict.problems]
     # Statements and file names may contain terminal escape sequences.
     return "\n".join(printable(line) for line in lines)

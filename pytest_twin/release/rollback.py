@@ -61,7 +61,7 @@ def plan(root: Path, folder: Path | None = None, *, now: datetime | None = None)
         PathError: a file or a folder of the twin is a link, or cannot be read.
     """
     release, _, notes = _release(root, folder, now or datetime.now(UTC))
-    return Rollback(release.twin, release.number, _changes(root, release), notes=notes)
+    return Rollback(release.twin, release.number, changed_files(root, release), notes=notes)
 
 
 def restore(root: Path, folder: Path | None = None, *, now: datetime | None = None) -> Rollback:
@@ -79,7 +79,7 @@ def restore(root: Path, folder: Path | None = None, *, now: datetime | None = No
     """
     now = now or datetime.now(UTC)
     release, folder, notes = _release(root, folder, now)
-    changes = _changes(root, release)
+    changes = changed_files(root, release)
     if not changes:
         return Rollback(release.twin, release.number, (), notes=notes)
     pending = root / PENDING_ROLLBACK
@@ -182,7 +182,7 @@ def _release(
     )
 
 
-def _changes(root: Path, release: Release) -> tuple[FileChange, ...]:
+def changed_files(root: Path, release: Release) -> tuple[FileChange, ...]:
     """Files of a release that the twin lacks or has with other content.
 
     Raises:

@@ -45,6 +45,23 @@ def test_verifying_a_twin_verifies_its_newest_release(
     assert cli.main(["verify", str(twin_with_two_releases)]) == 1
 
 
+def test_files_of_the_twin_that_changed_since_its_release_are_named(
+    twin_with_two_releases: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The release is valid; it is not one of the present twin."""
+    model = next(twin_with_two_releases.glob("*.xml"))
+    model.write_text(model.read_text() + "<!-- changed -->")
+    document = twin_with_two_releases.parent / "verdict.json"
+    arguments = ["verify", str(twin_with_two_releases), "--json", str(document)]
+    assert cli.main(arguments) == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[0].endswith(", 1 file changed since")
+    assert f"  the twin is not the released one: {model.name} changed or gone; " in out
+    assert json.loads(document.read_text())["changed_since"] == [model.name]
+    assert cli.main(["verify", str(twin_with_two_releases / "releases" / "0002")]) == 0
+    assert "changed since" not in capsys.readouterr().out
+
+
 def test_an_invalid_release_prints_the_reason_and_exits_with_1(
     twin_with_two_releases: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
