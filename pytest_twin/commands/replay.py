@@ -29,6 +29,7 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report import replay as page
 from pytest_twin.trial import at_command_stamps, make_trials, recording_at
 from pytest_twin.trial.command_field import refuse_unfit_modes
+from pytest_twin.trial.stream_checks import note_on_start_in_motion
 
 HELP = "simulate a model under a recording's commands, open loop, and write the predicted states"
 EXAMPLES = (
@@ -206,6 +207,7 @@ def replay_file(
         ],
         "notes": [
             *(note for t in trials for note in t.notes),
+            *(note for t in trials for note in note_on_start_in_motion(t)),
             *([doubt] if doubt else ()),
             *notes,
             *unread,
@@ -253,8 +255,9 @@ def _words(summary: Mapping[str, Any]) -> str:
     kinds: dict[str, int] = {}
     for mark in summary["marks"]:
         kinds[mark["kind"]] = kinds.get(mark["kind"], 0) + 1
-        if mark["kind"] == "damage":
-            lines.append(f"  damaged: {mark['text']}")
+        damage = f"  damaged: {mark['text']}"
+        if mark["kind"] == "damage" and damage not in lines:
+            lines.append(damage)
     if kinds:
         said = ", ".join(f"{kind} {count}" for kind, count in kinds.items())
         lines.append(f"  doubtful stretches of the recording, all kept: {said}")

@@ -35,7 +35,11 @@ from pytest_twin.trial.joint_side import (
 from pytest_twin.trial.joints import in_model_names, metres_of_slides, name_by_actuators
 from pytest_twin.trial.repeated_states import own_samples
 from pytest_twin.trial.roles import refuse_final
-from pytest_twin.trial.stream_checks import check_copies, refuse_other_scale
+from pytest_twin.trial.stream_checks import (
+    check_copies,
+    refuse_backward_stamps,
+    refuse_other_scale,
+)
 from pytest_twin.trial.table import kept_commands, stamp_order
 from pytest_twin.trial.unwrap_joints import RecordedMotion, unwrap_joints
 
@@ -146,6 +150,7 @@ def read_measured(
         series, named = _commands_or_states(recording, "state", realization, topics, options)
         if is_floating(realization.structure, series.names):
             refuse_moving_base(recording.path, recording.base)
+        refuse_backward_stamps(series, recording.path)
         loose = check_floating_base(realization.structure, series.names, recording.path)
         commanded, notes = _commands_at_states(recording, series, realization, topics, options)
         at_joints = _at_joints(series, commanded, recording, signals)

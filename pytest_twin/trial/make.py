@@ -38,7 +38,11 @@ from pytest_twin.trial.joint_side import commands_at_joints, states_at_joints
 from pytest_twin.trial.joints import in_model_names, metres_of_slides, name_by_actuators
 from pytest_twin.trial.recording_checks import RecordingChecks
 from pytest_twin.trial.repeated_states import own_samples
-from pytest_twin.trial.stream_checks import check_copies, refuse_other_scale
+from pytest_twin.trial.stream_checks import (
+    check_copies,
+    refuse_backward_stamps,
+    refuse_other_scale,
+)
 from pytest_twin.trial.table import (
     StateRows,
     kept_commands,
@@ -117,6 +121,7 @@ def _whole(
         if structure is not None:
             series, metres = metres_of_slides(series, structure.joint_type)
             notes += metres
+        refuse_backward_stamps(series, recording.path)
         topics.append(series)
         notes += said
     states, commands = topics

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries, Recording
 from pytest_twin.trial.dropouts import without_dropouts
 from pytest_twin.trial.table import stamp_order
+from pytest_twin.trial.trial import Trial
 from pytest_twin.trial.unwrap_joints import RecordedMotion
 from pytest_twin.words import list_names
 
@@ -22,6 +24,13 @@ _FOLLOWS, _UNIT_DEVIATION = 0.9, 0.15
 _LEAST_COUNTS = 100.0
 # s. Times by which positions may follow their commands late.
 _LAGS = (0.0, 0.02, 0.05, 0.1, 0.2)
+# Fraction of the steps between stamps above which the clock runs backwards.
+_BACKWARD = 0.6
+# First states that show the speed at the start, and the longest time that they may take, s.
+_FIRST_STATES, _BEGIN = 12, 0.5
+# rad/s or m/s. Speed at the start that a replay from rest does not neglect. The states show it if a
+# start from rest has this many times the squared error of a start in motion.
+_STARTS_MOVING, _WORSE = 0.05, 30.0
 # Samples below which no correlation is judged.
 _FEWEST_SAMPLES = 10
 # A joint within this distance of an end of its range, rad or m, is held by its stop.
@@ -44,6 +53,55 @@ _WAY_OUT = (
     "measured positions: encoders, not the setpoints of a controller, of mock hardware or of a "
     "data set whose actions were made from its states"
 )
+
+
+def refuse_backward_stamps(series: JointSeries, path: Path) -> None:
+    """Check that stamps do not run backwards from message to message.
+
+    Sorted by such stamps, the motion may be reversed in time. A few messages out of order are not
+    meant, nor two publishers whose messages alternate.
+
+    Raises:
+        RecordingError: they do.
+    """
+    steps = np.diff(series.stamp)
+    backward = int((steps < 0).sum())
+    if len(steps) < _FEWEST_SAMPLES or backward <= _BACKWARD * len(steps):
+        return
+    raise RecordingError(
+        "the times run backwards", path=path, where=series.topic,
+        value=f"earlier than the one before in {backward} of {len(steps)} messages",
+        expected="times that increase: sort the rows by time if the last is written first, else "
+        "repair the clock (--clock log where the recorder's times advance)",
+    )  # fmt: skip
+
+
+def note_on_start_in_motion(trial: Trial) -> list[str]:
+    """A note on joints that move at the first state, without a recorded velocity."""
+    moving = []
+    for column, joint in enumerate(trial.joints):
+        if trial.velocity is not None and np.isfinite(trial.velocity[0, column]):
+            continue
+        rows = np.flatnonzero(np.isfinite(trial.position[:, column]))[:_FIRST_STATES]
+        if len(rows) < _FIRST_STATES:
+            continue
+        since = trial.time[rows] - trial.time[rows[0]]
+        if not 0.0 < since[-1] <= _BEGIN or np.diff(since).min() <= 0.0:
+            continue
+        position, powers = trial.position[rows, column], np.vander(since, 4, increasing=True)
+        at_rest, moves = (
+            np.linalg.lstsq(powers[:, terms], position, rcond=None)
+            for terms in ([0, 2, 3], [0, 1, 2])
+        )
+        speed = abs(float(moves[0][1]))
+        if speed > _STARTS_MOVING and float(at_rest[1].sum()) > _WORSE * float(moves[1].sum()):
+            moving.append(f"{joint} at about {speed:.2g} rad/s or m/s")
+    if not moving:
+        return []
+    return [
+        f"{trial.name} begins in motion ({list_names(moving)}) and has no velocity: the replay "
+        "starts at rest, and its error at the begin is not the model's"
+    ]
 
 
 def refuse_other_scale(

@@ -227,3 +227,49 @@ def test_convert_writes_every_number_and_says_the_doubt(
         said = capsys.readouterr().out
         assert words in said
         assert f"{COUNT} states" in said
+
+
+def with_times(log: Path, time: Table) -> Path:
+    head, *rows = log.read_text().splitlines()
+    pairs = zip(time, rows, strict=True)
+    changed = [f"{t:.4f},{row.partition(',')[2]}" for t, row in pairs]
+    log.write_text("\n".join([head, *changed]))
+    return log
+
+
+def test_times_that_run_backwards_are_refused_by_every_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = commanded()
+    log = write(tmp_path, measured(command), command)
+    with_times(log, np.arange(COUNT)[::-1] / RATE)
+    words = "the times run backwards (got 'earlier than the one before in 599 of 599 messages'"
+    assert words in shown(log, capsys)
+    for name in ("replay", "diagnose", "identify"):
+        assert words in refusal(name, log, capsys)
+
+
+def test_messages_out_of_order_are_sorted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = commanded()
+    log = write(tmp_path, measured(command), command)
+    time = np.arange(COUNT) / RATE
+    time[100:102] = time[[101, 100]]
+    assert "can use 5.99 s" in shown(with_times(log, time), capsys)
+
+
+def test_a_recording_that_begins_in_motion_without_velocity_is_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = commanded()
+    position = measured(command)
+    cut = slice(150, None)
+
+    def said(log: Path) -> str:
+        out = str(tmp_path / "p.mcap")
+        assert cli.main(["replay", str(tmp_path / "arm.xml"), str(log), "--out", out]) == 0
+        return capsys.readouterr().out
+
+    assert "begins in motion" not in said(write(tmp_path, position, command))
+    assert "log.csv begins in motion (" in said(write(tmp_path, position[cut], command[cut]))
