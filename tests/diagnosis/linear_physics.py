@@ -53,6 +53,10 @@ class LinearPhysics:
     def floor(self) -> FloatArray:
         return np.full(len(self.joints), FLOOR)
 
+    @property
+    def is_linearizable(self) -> bool:
+        return True
+
     def change(self, hypothesis: Hypothesis) -> FloatArray:
         """(samples, joints) change of the prediction by a hypothesis."""
         out = np.zeros_like(self.measured)
@@ -79,7 +83,11 @@ class LinearPhysics:
         return [r[owner == recording] for r in self.simulate(hypotheses, corrected_at)]
 
     def fit(
-        self, hypothesis: Hypothesis, residual: FloatArray, iterations: int
+        self,
+        hypothesis: Hypothesis,
+        residual: FloatArray,
+        iterations: int,
+        corrected_at: Hypothesis,
     ) -> tuple[Hypothesis, FloatArray, FloatArray]:
         weights = 1.0 / np.sqrt(np.mean(residual**2, axis=0) + FLOOR**2)
         (fitted,) = fit(

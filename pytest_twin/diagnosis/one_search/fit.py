@@ -68,10 +68,10 @@ def fit_along_motion(
 
 
 def with_linearized_jacobians(
-    view: View, models: Sequence[Model], comparison: Comparison
+    view: View | None, models: Sequence[Model], comparison: Comparison
 ) -> list[Model]:
     """Models with the Jacobian of the linearized motion, which needs no simulation."""
-    if view.linear is None:
+    if view is None or view.linear is None:
         return list(models)
     slopes = linearized_slopes(view.linear, [m.hypothesis for m in models])
     return [

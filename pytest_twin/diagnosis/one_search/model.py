@@ -6,11 +6,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.estimation.comparison import Comparison, Size
 from pytest_twin.estimation.hypothesis import Hypothesis
 from pytest_twin.estimation.score import NOISE_FLOORS
+
+_MOST_RESIDUALS = 64
+"""Residuals that a pool keeps, those of the models with the most evidence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +121,8 @@ class Pool:
 
     comparison: Comparison
     simulations: int = 0
-    _simulated: dict[frozenset[object], tuple[PooledModel, FloatArray]] = field(
-        default_factory=dict
-    )
+    _simulated: dict[frozenset[object], PooledModel] = field(default_factory=dict)
+    _residuals: dict[frozenset[object], NDArray[np.float32]] = field(default_factory=dict)
     _linearized: dict[frozenset[object], PooledModel] = field(default_factory=dict)
 
     def add(self, model: Model) -> None:
@@ -130,9 +133,12 @@ class Pool:
         evidence = evidence_of(self.comparison, model.mean_square, model.size)
         key = frozenset(model.hypothesis.terms)
         known = self._simulated.get(key)
-        if known is None or evidence > known[0].evidence:
-            pooled = PooledModel(model.hypothesis, model.size, evidence)
-            self._simulated[key] = pooled, model.residual.astype(np.float32)
+        if known is None or evidence > known.evidence:
+            self._simulated[key] = PooledModel(model.hypothesis, model.size, evidence)
+            self._residuals[key] = model.residual.astype(np.float32)
+            if len(self._residuals) > _MOST_RESIDUALS:
+                least = min(self._residuals, key=lambda k: self._simulated[k].evidence)
+                del self._residuals[least]
 
     def add_linearized(
         self, hypothesis: Hypothesis, size: Size, evidence: float, difference: float
@@ -146,14 +152,16 @@ class Pool:
     def rivals_of(self, incumbent: Model) -> Iterator[PooledModel]:
         """All other sets of the pool; a linearized one only if it was never simulated."""
         own = frozenset(incumbent.hypothesis.terms)
-        for key, (pooled, residual) in self._simulated.items():
+        for key, pooled in self._simulated.items():
             if key != own:
-                yield replace(pooled, difference=self._difference(residual, incumbent))
+                residual = self._residuals.get(key)
+                known = None if residual is None else self._difference(residual, incumbent)
+                yield replace(pooled, difference=known)
         for key, pooled in self._linearized.items():
             if key != own and key not in self._simulated:
                 yield pooled
 
-    def _difference(self, residual: FloatArray, incumbent: Model) -> float:
+    def _difference(self, residual: NDArray[np.float32], incumbent: Model) -> float:
         change = np.sqrt(np.mean((residual - incumbent.residual) ** 2, axis=0))
         return float((change / self.comparison.floor).max())
 

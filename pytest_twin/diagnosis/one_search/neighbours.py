@@ -106,23 +106,18 @@ def neighbours(
         settings: of the search.
     """
     own = incumbent.hypothesis
-    different = dict[_Form, Hypothesis]()
+    exchanged = dict[_Form, LinearizedFit]()
+    for fit in _exchanges(physics, incumbent, view, settings):
+        exchanged.setdefault(_form_of(fit.hypothesis), fit)
+    different = {form: fit.hypothesis for form, fit in exchanged.items()}
     for hypothesis in itertools.chain(
-        _exchanges(physics, incumbent, view, settings),
         confused(physics, own),
         physics.rewrites(own),
         physics.sensor_effects(own, incumbent.mean_square),
     ):
         different.setdefault(_form_of(hypothesis), hypothesis)
-    starts = list(different.values())
     linear, seen = view.linear, view.residual
-    if linear is None:
-        return [Neighbour(h, 0.0, seen.mean_square, np.inf) for h in starts]
     of_incumbent = comparison.log_likelihood(seen.mean_square) - comparison.penalty(incumbent.size)
-
-    def fitted(models: Sequence[Hypothesis], iterations: int) -> list[Neighbour]:
-        fits = fit_linearized(linear, seen, models, iterations)
-        return sorted((neighbour(f) for f in fits), key=lambda n: -n.gain)
 
     def neighbour(each: LinearizedFit) -> Neighbour:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -133,6 +128,23 @@ def neighbours(
         difference = float(np.nan_to_num(change / seen.floor, nan=np.inf).max())
         return Neighbour(each.hypothesis, score - of_incumbent, mean_square, difference)
 
+    if linear is None:
+        # Candidates were simulated; nothing is known of the same physics in other words.
+        return sorted(
+            [
+                neighbour(exchanged[form])
+                if form in exchanged
+                else Neighbour(h, 0.0, seen.mean_square, np.inf)
+                for form, h in different.items()
+            ],
+            key=lambda n: -n.gain,
+        )
+
+    def fitted(models: Sequence[Hypothesis], iterations: int) -> list[Neighbour]:
+        fits = fit_linearized(linear, seen, models, iterations)
+        return sorted((neighbour(f) for f in fits), key=lambda n: -n.gain)
+
+    starts = list(different.values())
     first, others = Quota.of(settings, 2).divide(fitted(starts, _FIRST_ITERATIONS))
     again = fitted([n.hypothesis for n in first], _MORE_ITERATIONS)
     return sorted([*again, *others], key=lambda n: -n.gain)
@@ -166,8 +178,8 @@ def removals(own: Hypothesis) -> list[tuple[Term, ...]]:
 
 def _exchanges(
     physics: Physics, incumbent: Model, view: View, settings: SearchSettings
-) -> Iterator[Hypothesis]:
-    """The incumbent with terms removed and others added."""
+) -> Iterator[LinearizedFit]:
+    """The incumbent with terms removed and others added, by the normal equations."""
     own, seen = incumbent.hypothesis, view.residual
     removed_sets = removals(own)
     reduced = [own.without(*removed) for removed in removed_sets]
@@ -176,7 +188,7 @@ def _exchanges(
     rigid = {r.term for r in view.sensitivities.responses} - elastic
     for removed, rest, left in zip(removed_sets, reduced, residuals, strict=True):
         if removed:
-            yield rest
+            yield LinearizedFit(rest, left)
         slope = seen.jacobian[:, :, own.parameters_without(*removed)]
         part = ResidualView(left, slope, seen.floor, seen.lengths)
         equations = NormalEquations(part, view.sensitivities)
@@ -184,7 +196,8 @@ def _exchanges(
             for chosen in equations.children(
                 equations.base, 2 * settings.of_each_elastic, excluded=rigid
             ):
-                yield rest.with_terms(equations.structure(chosen).starts)
+                structure = equations.structure(chosen)
+                yield LinearizedFit(rest.with_terms(structure.starts), structure.residual)
         most = min(len(removed) + 1, 2) if removed else settings.added
         width = settings.beam // 2 if removed else settings.beam
         beam = BeamSearch(
@@ -193,7 +206,14 @@ def _exchanges(
         )  # fmt: skip
         for level in beam.levels(equations):
             for structure in level[:width]:
-                yield rest.with_terms(structure.starts)
+                yield LinearizedFit(rest.with_terms(structure.starts), structure.residual)
+
+
+def simpler_or_confused(physics: Physics, own: Hypothesis) -> list[Hypothesis]:
+    """Models that need no linearization: fewer effects, other words, effects that are confused."""
+    reduced = [own.without(*removed) for removed in removals(own) if removed]
+    every = [*reduced, *physics.rewrites(own), *confused(physics, own)]
+    return list({_form_of(h): h for h in reversed(every)}.values())
 
 
 def confused(physics: Physics, own: Hypothesis, *, carried: bool = False) -> list[Hypothesis]:

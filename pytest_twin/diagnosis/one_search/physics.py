@@ -91,6 +91,10 @@ class Physics(Protocol):
     def recordings(self) -> Sequence[int]:
         """Recording of each segment."""
 
+    @property
+    def is_linearizable(self) -> bool:
+        """Whether the motion can be linearized; not in contact."""
+
     def simulate(
         self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis
     ) -> list[FloatArray]:
@@ -107,14 +111,21 @@ class Physics(Protocol):
         """As :meth:`simulate`, on one recording."""
 
     def fit(
-        self, hypothesis: Hypothesis, residual: FloatArray, iterations: int
+        self,
+        hypothesis: Hypothesis,
+        residual: FloatArray,
+        iterations: int,
+        corrected_at: Hypothesis,
     ) -> tuple[Hypothesis, FloatArray, FloatArray]:
         """A hypothesis fitted by simulation, with its residual and Jacobian.
+
+        The residual has the corrections of the fitted parameters.
 
         Args:
             hypothesis: with the start of its parameters.
             residual: (samples, signals) its residual, from which the weights follow.
             iterations: largest number of steps.
+            corrected_at: hypothesis whose corrections the predictions of the fit have.
         """
 
     def linearize(self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray) -> View:
@@ -203,6 +214,11 @@ class SimulatedPhysics:
         """Recording of each segment."""
         return [self.problem.simulator.segments[s].trial for s in self.problem.fit]
 
+    @property
+    def is_linearizable(self) -> bool:
+        """As :attr:`Physics.is_linearizable`."""
+        return not self.problem.simulator.models.contact.world.size
+
     def simulate(
         self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis
     ) -> list[FloatArray]:
@@ -218,10 +234,14 @@ class SimulatedPhysics:
         return self.problem.at(corrected_at).residuals(hypotheses, self.problem.fit[which])
 
     def fit(
-        self, hypothesis: Hypothesis, residual: FloatArray, iterations: int
+        self,
+        hypothesis: Hypothesis,
+        residual: FloatArray,
+        iterations: int,
+        corrected_at: Hypothesis,
     ) -> tuple[Hypothesis, FloatArray, FloatArray]:
-        """As :meth:`Physics.fit`; the result has the corrections of its own parameters."""
-        here = self.problem.at(hypothesis)
+        """As :meth:`Physics.fit`."""
+        here = self.problem.at(corrected_at)
         weights = here.weights(np.mean(residual**2, axis=0))
         (fitted,) = fit(here, [hypothesis], weights, here.fit, iterations=iterations)
         corrected = self.problem.at(fitted.hypothesis)

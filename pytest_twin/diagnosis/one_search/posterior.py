@@ -24,6 +24,8 @@ MOST_WITH_ONE_RECORDING = 0.9
 """Largest confidence from a single recording, whose parts are no independent repetitions."""
 SAME_PREDICTION = 0.5
 """Noise floors up to which two predictions are equal, so that neither set can be preferred."""
+_AS_LIKELY = 0.5
+"""Evidence up to which two sets are equally likely."""
 _LEAST_ODDS = 0.01
 """Odds from which a set widens the intervals of parameters."""
 
@@ -102,7 +104,7 @@ def best_named(
     inexpressible: Callable[[Hypothesis], int],
     is_possible: Callable[[Hypothesis], bool],
 ) -> Hypothesis:
-    """The incumbent, or a set with the same prediction that is simpler or that MJCF expresses.
+    """The incumbent, or a set that is as likely and simpler, or that MJCF expresses further.
 
     Args:
         found: the search.
@@ -110,12 +112,12 @@ def best_named(
         is_possible: whether a set may be reported.
     """
     incumbent = found.incumbent
+    own = evidence_of(found.comparison, incumbent.mean_square, incumbent.size)
     alike = [
         (rival.size, rival.hypothesis)
         for rival in found.pool.rivals_of(incumbent)
         if rival.is_simulated and not rival.size.is_richer_than(incumbent.size)
-        and rival.difference is not None and rival.difference <= SAME_PREDICTION
-        and is_possible(rival.hypothesis)
+        and rival.evidence >= own - _AS_LIKELY and is_possible(rival.hypothesis)
     ]  # fmt: skip
     # The incumbent comes first among equals.
     named = min(

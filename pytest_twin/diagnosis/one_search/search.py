@@ -22,6 +22,7 @@ from pytest_twin.diagnosis.one_search.neighbours import (
     confused,
     neighbours,
     proposed_starts,
+    simpler_or_confused,
 )
 from pytest_twin.diagnosis.one_search.physics import Physics, View
 from pytest_twin.diagnosis.one_search.settings import SETTINGS, SearchSettings
@@ -126,6 +127,11 @@ class Search:
         """The model that replaces the incumbent; None if no proposal passes the test."""
         if not incumbent.hypothesis.terms and not self._exceeds(incumbent, VERDICT.identifiable):
             return None
+        if not self.physics.is_linearizable and not self._exceeds(incumbent, VERDICT.identifiable):
+            # Simulations of all candidates would explain noise only.
+            simple = simpler_or_confused(self.physics, incumbent.hypothesis)
+            models = self._simulate(simple, incumbent.corrected_at, "rival")
+            return self._accept_one(None, models, incumbent)
         view = self._linearize(incumbent)
         proposals = self._propose(incumbent, view)
         chosen = self._select(proposals, incumbent)
@@ -251,7 +257,9 @@ class Search:
         )
         return self._fit_best(view, models, incumbent, settings.finalists)
 
-    def _accept_one(self, view: View, models: Sequence[Model], incumbent: Model) -> Model | None:
+    def _accept_one(
+        self, view: View | None, models: Sequence[Model], incumbent: Model
+    ) -> Model | None:
         """The simplest model that passes the test against all others, fitted by simulation."""
         ranked = sorted(models, key=lambda m: -m.score)[: self.settings.contenders]
         contenders = with_linearized_jacobians(view, ranked, self.comparison)
@@ -282,7 +290,7 @@ class Search:
         """A model fitted by simulation, if it then replaces the incumbent."""
         self._passed = model if self._decide(model, incumbent).is_accepted else None
         hypothesis, residual, jacobian = self.physics.fit(
-            model.hypothesis, model.residual, self.settings.refinements
+            model.hypothesis, model.residual, self.settings.refinements, model.corrected_at
         )
         self._passed = None
         fitted = self._model(hypothesis, residual, model.origin, hypothesis)

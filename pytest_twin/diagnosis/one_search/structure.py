@@ -255,7 +255,7 @@ def _inexpressible(hypothesis: Hypothesis) -> int:
 def _refit(physics: SimulatedPhysics, found: PooledSearch, start: Hypothesis) -> Model:
     """A hypothesis fitted to convergence."""
     (residual,) = physics.simulate([start], start)
-    hypothesis, residual, jacobian = physics.fit(start, residual, _LAST_ITERATIONS)
+    hypothesis, residual, jacobian = physics.fit(start, residual, _LAST_ITERATIONS, start)
     size = physics.size(hypothesis)
     model = Model.of(found.comparison, hypothesis, residual, size, "report", hypothesis)
     return model.with_jacobian(found.comparison, jacobian)
