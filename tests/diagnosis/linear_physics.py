@@ -134,7 +134,7 @@ class LinearPhysics:
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         return self.refused(hypothesis)
 
-    def other_settings(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+    def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
         return iter(())
 
 

@@ -41,11 +41,13 @@ from pytest_twin.diagnosis.search.simplification import (
     split_terms,
 )
 from pytest_twin.diagnosis.search_result import build_problem
+from pytest_twin.diagnosis.signal_meaning.interpolation_after_search import with_interpolation
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel, fit
+from pytest_twin.recording_options import CommandBetween
 
 _SMALLEST_NOISE = 1e-9
 """Smallest noise of a position, rad or m."""
@@ -158,8 +160,13 @@ class Physics(Protocol):
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         """Effects with impossible totals or outside the recorded range, and the reason of each."""
 
-    def other_settings(self, hypothesis: Hypothesis) -> Iterator[Physics]:
-        """The same robot and samples with each other setting of the simulation that is open."""
+    def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
+        """The same robot and samples with each other setting of the simulation that is open.
+
+        Args:
+            hypothesis: effects of the incumbent.
+            is_explained: whether only noise remains. A setting may then need fewer effects.
+        """
 
 
 class SimulatedPhysics:
@@ -169,6 +176,8 @@ class SimulatedPhysics:
         setup: the model with its simulation settings.
         prepared: the problem; all its segments are fitted.
         trials: its recordings.
+        possible: interpolations of the commands that the recordings do not rule out.
+        between: interpolation that the search decided; None if it decided none.
         problem: the problem with the noise by which all settings are compared.
     """
 
@@ -177,9 +186,13 @@ class SimulatedPhysics:
         setup: ModelSetup,
         prepared: PreparedProblem,
         trials: TrialSet,
+        possible: Sequence[CommandBetween] = (),
+        *,
         noise_of: Problem | None = None,
+        between: CommandBetween | None = None,
     ) -> None:
         self.setup, self.prepared, self.trials = setup, prepared, trials
+        self.possible, self.between = possible, between
         self.problem = problem = (
             prepared.problem
             if noise_of is None
@@ -335,12 +348,19 @@ class SimulatedPhysics:
         """As :meth:`Physics.refusals`."""
         return refused_effects(self.problem, hypothesis, self.recorded)
 
-    def other_settings(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+    def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
         """As :meth:`Physics.other_settings`.
 
-        The friction constraint is open where there is dry friction, and the time step of a
-        simulation that made the recordings where its discretization error is above the noise.
+        The interpolation of commands is open where the recordings did not decide it. The friction
+        constraint is open where there is dry friction, and the time step of a simulation that made
+        the recordings where its discretization error is above the noise.
         """
+        assumed = {t.command_between for t in self.trials.fit if t.between_source == "assumed"}
+        for between in self.possible:
+            if assumed and assumed != {between}:
+                yield from self._with(self.setup, between)
+        if is_explained:
+            return
         setup = self.setup
         if has_dry_friction(self.problem, hypothesis):
             yield from self._with(replace(setup, has_friction_creep=not setup.has_friction_creep))
@@ -352,10 +372,21 @@ class SimulatedPhysics:
         for substeps in {0, *SUBSTEPS} - {setup.substeps}:
             yield from self._with(replace(setup, substeps=substeps))
 
-    def _with(self, setup: ModelSetup) -> Iterator[SimulatedPhysics]:
-        """The physics with other settings; none if the nominal model then diverges."""
+    def _with(
+        self, setup: ModelSetup, between: CommandBetween | None = None
+    ) -> Iterator[SimulatedPhysics]:
+        """The physics with other settings; none if the nominal model then diverges.
+
+        Args:
+            setup: the model with its simulation settings.
+            between: interpolation of the commands; unchanged by default.
+        """
+        trials = self.trials if between is None else with_interpolation(self.trials, between)
         prepared, trials = build_problem(
-            setup, self.trials, [], window=self.prepared.window, scales=self.problem.scales
+            setup, trials, [], window=self.prepared.window, scales=self.problem.scales
         )
         if self.problem.lengths(self.problem.fit) == prepared.problem.lengths(prepared.problem.fit):
-            yield SimulatedPhysics(setup, prepared, trials, noise_of=self.problem)
+            yield SimulatedPhysics(
+                setup, prepared, trials, self.possible,
+                noise_of=self.problem, between=between or self.between,
+            )  # fmt: skip

@@ -145,23 +145,25 @@ class Search:
         )
 
     def _other_settings(self, incumbent: Model) -> Model | None:
-        """The incumbent with another setting of the simulation, if it explains more.
+        """The incumbent, or less, with another setting of the simulation, if it explains more.
 
         The setting is then that of all further models.
         """
-        if not self._exceeds(incumbent, VERDICT.identifiable):
-            return None
+        own = incumbent.hypothesis
+        hypotheses = [own, *(own.without(t) for t in own.terms if len(own.terms) > 1)]
         tried = list[tuple[Physics, Model]]()
-        for physics in self.physics.other_settings(incumbent.hypothesis):
-            (residual,) = physics.simulate([incumbent.hypothesis], incumbent.hypothesis)
-            model = self._model(
-                incumbent.hypothesis, residual, "setting of the simulation", incumbent.hypothesis
-            )
-            tried.append((physics, model))
+        is_explained = not self._exceeds(incumbent, VERDICT.identifiable)
+        for physics in self.physics.other_settings(own, is_explained=is_explained):
+            residuals = physics.simulate(hypotheses, own)
+            tried += [
+                (physics, self._model(h, r, "setting of the simulation", own))
+                for h, r in zip(hypotheses, residuals, strict=True)
+            ]
         for physics, model in sorted(tried, key=lambda pair: -pair[1].score)[:_FITTED_SETTINGS]:
             present, self.physics = self.physics, physics
             accepted = self._accept_fitted(model, incumbent)
-            if accepted is not None and accepted.score > incumbent.score + self.settings.earns:
+            least = self.settings.earns if model.hypothesis is own else 0.0
+            if accepted is not None and accepted.score > incumbent.score + least:
                 return accepted
             self.physics = present
         return None

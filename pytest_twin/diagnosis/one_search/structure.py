@@ -83,7 +83,7 @@ def find_structure(
         trials: the fit recordings; the validation recordings are in the place of held-out ones.
         inherited, threads, run, progress: as of
             :func:`~pytest_twin.diagnosis.diagnose.find_structure`.
-        possible: possible interpolations of the commands; not used yet.
+        possible: possible interpolations of the commands between their stamps.
 
     Raises:
         RecordingError, SpecError: as of :func:`~pytest_twin.diagnosis.diagnose.diagnose`.
@@ -98,7 +98,7 @@ def find_structure(
     progress(0.06)
     run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
     setup, prepared, trials = adopt_simulation_step(setup, prepared, trials, run)
-    searched = _search_recordings(setup, prepared, trials, run, notes)
+    searched = _search_recordings(SimulatedPhysics(setup, prepared, trials, possible), run)
     physics = searched.physics
     assert isinstance(physics, SimulatedPhysics)
     if not searched.is_complete:
@@ -116,25 +116,22 @@ def find_structure(
         notes.append(FRICTION_CREEP_NOTE)
     if setup.substeps:
         notes.append(describe_integrator(found.prepared))
-    return ChosenModel(setup, found, window, (*notes, *found.explanation.notes))
+    every = (*notes, *found.explanation.notes)
+    return ChosenModel(setup, found, window, every, between=physics.between)
 
 
-def _search_recordings(
-    setup: ModelSetup, prepared: PreparedProblem, trials: TrialSet, run: Run, notes: list[str]
-) -> PooledSearch:
+def _search_recordings(whole: SimulatedPhysics, run: Run) -> PooledSearch:
     """The search over whole recordings, or over windows of them that the model follows.
 
     Far from contact, and in short windows, the linearization is valid where it is not over whole
     recordings. Where the found model follows the whole recordings, the search continues there.
 
     Args:
-        setup: the model with its simulation settings.
-        prepared, trials: the problem over whole recordings, and its recordings.
+        whole: the robot with its whole recordings.
         run: the running diagnosis.
-        notes: receives notes for the reader.
     """
+    setup, prepared, trials = whole.setup, whole.prepared, whole.trials
     problem = prepared.problem
-    whole = SimulatedPhysics(setup, prepared, trials)
     start = hypothesis_of(problem, run.first_answer) or EMPTY
     contact = problem.simulator.models.contact
     if contact.world.size:
@@ -151,7 +148,7 @@ def _search_recordings(
         start = _rescaled(in_windows.incumbent.hypothesis, cut.problem, problem)
         physics = in_windows.physics
         assert isinstance(physics, SimulatedPhysics)
-        whole = SimulatedPhysics(physics.setup, prepared, trials)
+        whole = SimulatedPhysics(physics.setup, prepared, trials, whole.possible)
         if start.terms and not _follows(problem, start):
             return in_windows
     found = _search(whole, run, "whole recordings", start)
@@ -161,7 +158,9 @@ def _search_recordings(
         lower = physics.prepared.with_lower_floor(best) if best.terms else None
         if lower is None or not found.is_complete:
             break
-        lowered = SimulatedPhysics(physics.setup, lower, physics.trials)
+        lowered = SimulatedPhysics(
+            physics.setup, lower, physics.trials, physics.possible, between=physics.between
+        )
         found = _search(lowered, run, "whole recordings, lower noise floor", best)
     return found
 

@@ -45,7 +45,7 @@ def interpolation_with_fewer_effects(
         if used == {between}:
             continue
         prepared, trials = build_problem(
-            setup, _with_interpolation(found.trials, between), [], window=found.prepared.window
+            setup, with_interpolation(found.trials, between), [], window=found.prepared.window
         )
         run.begin(f"commands {between} between their stamps", prepared.problem)
         selection = EffectSelection(prepared.problem, run)
@@ -88,15 +88,15 @@ def _rms(residual: FloatArray) -> FloatArray:
     return rms
 
 
-def _with_interpolation(trials: TrialSet, between: CommandBetween) -> TrialSet:
+def with_interpolation(trials: TrialSet, between: CommandBetween) -> TrialSet:
     """The trials with an interpolation of commands, unless it is declared."""
 
-    def with_interpolation(trial: Trial) -> Trial:
+    def changed(trial: Trial) -> Trial:
         if trial.between_source != "assumed":
             return trial
         return replace(trial, command_between=between, between_source="data")
 
-    fit, held_out = (tuple(map(with_interpolation, role)) for role in (trials.fit, trials.held_out))
+    fit, held_out = (tuple(map(changed, role)) for role in (trials.fit, trials.held_out))
     return replace(trials, fit=fit, held_out=held_out)
 
 
