@@ -50,7 +50,10 @@ class EncoderBias(Effect):
 
 
 class EncoderScale(Effect):
-    """The encoder's counts per turn, or the assumed gear ratio, are wrong."""
+    """The encoder's counts per turn, the assumed gear ratio, or the sign of its reading is wrong.
+
+    A scale error of -2 is a reversed sign.
+    """
 
     id = "encoder_scale"
     family = "sensing"
@@ -59,7 +62,7 @@ class EncoderScale(Effect):
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
         Parameter(
-            "scale_error", "one", 0.0, -0.5, 0.5, (0.03,), meaning="encoder scale",
+            "scale_error", "one", 0.0, -2.2, 0.5, (0.03,), meaning="encoder scale",
             relation="relative",
         ),
     )  # fmt: skip
@@ -79,6 +82,8 @@ class EncoderScale(Effect):
         self, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
         factor = 1.0 + values["scale_error"]
+        # A scale of zero has no inverse; the reading then tells nothing of the position.
+        factor = np.where(np.abs(factor) < 1e-6, 1e-6, factor)
         return position / factor, velocity / factor
 
 
@@ -156,7 +161,10 @@ class EffortBias(Effect):
 
 
 class EffortScale(Effect):
-    """The effort sensor's sensitivity is wrong."""
+    """The effort sensor's sensitivity, or the sign of its reading, is wrong.
+
+    A scale error of -2 is a reversed sign.
+    """
 
     id = "effort_scale"
     family = "sensing"
@@ -166,7 +174,7 @@ class EffortScale(Effect):
     source = "ISO 376; sensitivity of force-proving instruments"
     parameters = (
         Parameter(
-            "scale_error", "one", 0.0, -0.8, 1.5, (0.1,), meaning="effort sensor scale",
+            "scale_error", "one", 0.0, -2.2, 1.5, (0.1,), meaning="effort sensor scale",
             relation="relative",
         ),
     )  # fmt: skip

@@ -15,6 +15,8 @@ _SMALL = 0.1
 """Value in s, rad or m below which thousandths of the unit are used."""
 _THOUSANDTHS = {"s": "ms", "rad": "mrad", "m": "mm"}
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+_REVERSED, _REVERSED_WITHIN = -2.0, 0.1
+"""Relative error of a reading with the opposite sign, and the distance within which it is one."""
 
 
 def finding_sentence(finding: Mapping[str, Any]) -> str:
@@ -156,6 +158,8 @@ def _value_and_interval(
         factor, unit = readable_unit(value, unit)
     shown = factor * (abs(value) if relation else value)
     text = f"{number(shown)}{'' if unit == '1' else f' {unit}'}{side}"
+    if relation == "relative" and abs(value - _REVERSED) < _REVERSED_WITHIN:
+        text += ": its sign is reversed, so compare the direction in the recording and the model"
     if low == high:
         return text, ""
     low, high = factor * low, factor * high

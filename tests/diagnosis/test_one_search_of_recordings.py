@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,9 +13,16 @@ from pytest_twin.diagnosis.one_search.structure import find_structure
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.loaded_model import load_model
+from pytest_twin.trial import Trial
 
 
-def diagnosed(folder: Path, run: Run, **hidden: float) -> Diagnosis:
+def with_sign(trial: Trial, sign: float) -> Trial:
+    """A trial whose encoder counts in the other direction where ``sign`` is -1."""
+    velocity = None if trial.velocity is None else sign * trial.velocity
+    return replace(trial, position=sign * trial.position, velocity=velocity)
+
+
+def diagnosed(folder: Path, run: Run, sign: float = 1.0, **hidden: float) -> Diagnosis:
     model = folder / "model.xml"
     model.write_text(mjcf(("left",)))
     loaded = load_model(model)
@@ -23,6 +31,11 @@ def diagnosed(folder: Path, run: Run, **hidden: float) -> Diagnosis:
         for seed, role in ((1, "fit"), (2, "fit"), (3, "held_out"))
     ]
     trials = read_trials(paths, [], loaded.topics, loaded.realization.structure)
+    trials = replace(
+        trials,
+        fit=tuple(with_sign(t, sign) for t in trials.fit),
+        held_out=tuple(with_sign(t, sign) for t in trials.held_out),
+    )
     return diagnose(loaded.realization, trials, threads=1, run=run, find=find_structure)
 
 
@@ -47,3 +60,11 @@ def test_exactly_the_hidden_effects_are_named(
         assert finding.confidence > (0.45 if finding.effect == "command_delay" else 0.9)
     assert run.budget.work < 300
     assert not found.skipped_searches
+
+
+def test_a_reversed_sign_of_the_encoder_is_a_scale_error_of_minus_two(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, Run(), sign=-1.0)
+    (finding,) = found.explanation.findings
+    assert finding.effect == "encoder_scale"
+    assert finding.parameters["scale_error"].value == pytest.approx(-2.0, abs=0.01)
+    assert found.verdict == "explained"

@@ -48,6 +48,11 @@ def finding(effect: str, joint: str | None = "elbow", **parameters: Any) -> dict
             ".",
         ),
         (
+            finding("encoder_scale", scale_error=(-2.0, "1", -2.01, -1.99)),
+            "The encoder scale of joint elbow is 200 % below the model's: its sign is reversed, so "
+            "compare the direction in the recording and the model (95 % interval 199 to 201).",
+        ),
+        (
             finding(
                 "actuator_lag", time_constant=(0.025, "s", 0.024, 0.026), of_setpoint=(1, "1", 1, 1)
             ),
