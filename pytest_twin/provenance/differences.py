@@ -285,7 +285,7 @@ class _Differences:
         if found is None:
             return (
                 True,
-                "the dynamics have changed, and this data contains no commands to replay",
+                "the dynamics have changed, and this data cannot be replayed",
                 None,
             )
         worst = max(found, key=lambda joint: found[joint] / self._bound(joint))

@@ -35,7 +35,7 @@ def data(released) -> Path:
     stamps = np.rint(1e9 * time).astype(np.int64) + 10**18
     wave = np.column_stack([0.4 * np.sin(3 * time), 0.8 * np.cos(2 * time)])
     series = [
-        JointSeries("/joint_states", JOINTS, stamps, stamps, wave, None, None),
+        JointSeries("/joint_states", JOINTS, stamps, stamps, wave + 1e-3, None, None),
         JointSeries("/joint_commands", JOINTS, stamps, stamps, wave, None, None),
     ]
     path = released.root.parent / "wave.mcap"

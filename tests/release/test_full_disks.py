@@ -69,7 +69,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "fleet.yaml").write_text(
         "robots: {arm: {model: model.xml, recordings: [moves.csv]}}\n"
     )
-    rows = [f"{0.01 * i:.2f},{0.1 * (i % 7)},{0.1 * (i % 7)}" for i in range(50)]
+    rows = [f"{0.01 * i:.2f},{0.1 * (i % 7)},{0.1 * (i % 7) + 0.001}" for i in range(50)]
     (tmp_path / "moves.csv").write_text(
         "time,elbow.position,elbow.command\n" + "\n".join(rows) + "\n"
     )
