@@ -28,6 +28,7 @@ from pytest_twin.calibration.observability import (
     hold_gauges,
     uncertain_directions,
     undetermined_directions,
+    untested_directions,
 )
 from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.parameters import State
@@ -300,6 +301,12 @@ def calibrate(
         ),
     ]
     notes = [*problem.notes, *(() if seen is None else seen.notes), *_notes(plan, held)]
+    if not degenerate:
+        notes += [
+            f"the held-out observations do not test everything: with them alone, {words}; hold "
+            "out others (hold_out: {seed: ...})"
+            for words in untested_directions(fit, held)
+        ]
     if change is not None and change.may_be_arm:
         notes.append(change.note)
     # Poses that determine nothing compare no solvers.

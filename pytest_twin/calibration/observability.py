@@ -54,6 +54,10 @@ _NOISE = {"translation": 1e-3, "rotation": 1e-3, "point": 1e-3, "pixel": 1.0}
 """Noise that is assumed for the analysis of the structure, m, rad, m and px."""
 
 
+FEWEST_HELD_OUT = 3
+"""Fewest held-out observations that can test a frame on their own: two motions determine it."""
+
+
 @dataclass(frozen=True)
 class Gauge:
     """A joint zero that another unknown can always replace, and that is therefore fixed.
@@ -198,6 +202,27 @@ def uncertain_directions(
             )
         )
     return tuple(directions)
+
+
+def untested_directions(fit: Fit, held: CalibrationProblem) -> tuple[str, ...]:
+    """Return the directions of the frames that held-out observations alone do not test.
+
+    Held-out poses that rotate about one axis are predicted equally well by a camera that is
+    elsewhere along this axis. Joint zeros, links and the size of the target keep their estimates.
+
+    Args:
+        fit: the fit.
+        held: the problem on the held-out observations.
+    """
+    rows = {int(row) for term in held.terms for row in term.rows}
+    if len(rows) < FEWEST_HELD_OUT:
+        return ()
+    state = replace(fit.state, links=np.zeros(0))
+    layout = replace(fit.problem.layout, zeros=(), links=(), scale=False)
+    frames = replace(held, layout=layout, fixed=replace(held.fixed, links=np.zeros(0)))
+    everything = tuple(np.ones(len(term.rows), dtype=bool) for term in frames.terms)
+    only_held = replace(fit, problem=frames, state=state, kept=everything)
+    return tuple(direction.words for direction in undetermined_directions(only_held))
 
 
 def affected_unknowns(layout: Layout, directions: Sequence[Direction]) -> np.ndarray:
