@@ -29,8 +29,9 @@ REPORT_FILE = "report.html"
 REALIZATION = "realization"
 RecordingRef: TypeAlias = tuple[str, int | None]
 """Path of a recording, and the episode where it is a data set."""
-_SECONDS = 3600.0
-"""Time limit of one diagnosis, s."""
+_SECONDS = 4 * 3600.0
+"""Wall time after which the child process of a diagnosis is ended as hung, s. The search ends
+earlier, by its processor time, with its best result."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,8 @@ from pytest_twin.trial import make_trials, recording_at
 from pytest_twin.twin import RealizationRef, Twin, load_twin
 
 Progress = Callable[[float], None]
+_DIAGNOSIS_SECONDS = 3600.0
+"""Limit of the processor time of a diagnosis, s: its best result is written then."""
 
 
 def run_golden(
@@ -103,8 +105,11 @@ def diagnose(
     Raises:
         TwinError: the model or the recordings cannot be used.
     """
+    from pytest_twin.diagnosis.budget import Budget
+    from pytest_twin.diagnosis.run import Run
     from pytest_twin.diagnosis.trials import read_trials
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
+    from pytest_twin.processor_time import call_began
 
     loaded = _realization(Path(twin), realization)
     described = _twin(Path(twin))
@@ -128,6 +133,7 @@ def diagnose(
         trials,
         model=f"{described.name}, {realization}",
         progress=progress,
+        run=Run(Budget(_DIAGNOSIS_SECONDS, begin=call_began())),
         record_folder=Path(folder),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from functools import partial
@@ -40,6 +41,22 @@ def test_waiting_uses_no_processor_time() -> None:
     start = processor_seconds()
     time.sleep(0.3)
     assert processor_seconds() - start < 0.1
+
+
+def test_other_programs_do_not_lengthen_processor_time() -> None:
+    loop = [sys.executable, "-c", "while True: pass"]
+    others = [subprocess.Popen(loop) for _ in range(3 * (os.cpu_count() or 1))]
+    try:
+        start, began = processor_seconds(), time.monotonic()
+        compute(0.4)
+        used, waited = processor_seconds() - start, time.monotonic() - began
+    finally:
+        for other in others:
+            other.kill()
+        for other in others:
+            other.wait()
+    assert used < 0.6
+    assert waited > used, "the other programs had their share of the processors"
 
 
 @forks
