@@ -277,17 +277,18 @@ def diagnose_files(
         refuse_other_order(loaded.realization, trials.fit)
 
     def say_state(step: Step) -> None:
-        best = ", ".join(step.best) or "no effect yet"
+        first = [f"{effect.place[0]} (first answer)" for effect in diagnosis_run.first_answer]
+        best = ", ".join(step.best or first) or "no effect yet"
         left = f"; at most {budget.left:.0f} processor seconds left" if budget.seconds else ""
         tell("state", f"{step.stage}; best so far: {best}{left}")
 
-    run = Run(budget, Trace(say_state))
+    diagnosis_run = Run(budget, Trace(say_state))
     bound = min(FIRST_SECONDS, (1.0 - RESERVED_SHARE) * budget.left)
     seen = None
     if bound > 0.0:
         with suppress_mujoco_warnings():
             seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
-    run.first_answer = () if seen is None else seen.likely_effects
+    diagnosis_run.first_answer = () if seen is None else seen.likely_effects
     words = "none in time" if seen is None else quick_diagnosis_in_words(seen)
     tell("line", f"first answer, from one recording: {words}")
     summary = write_diagnosis(
@@ -297,7 +298,7 @@ def diagnose_files(
         model=Path(asked.model).name,
         threads=asked.threads,
         progress=progress,
-        run=run,
+        run=diagnosis_run,
         record_folder=Path(asked.folder or asked.out),
         find=find,
     )
