@@ -42,7 +42,6 @@ class ResidualSpec:
     """A bounded joint force that is added to the base model.
 
     Attributes:
-        id: its version.
         kind: which implementation computes the force.
         file: file of the law, for the kinds ``unnamed_laws`` and ``onnx``.
         function: name of the entry point, for the kind ``function``.
@@ -74,7 +73,6 @@ class UpdateSpec:
     """An online update of named parameters within bounds.
 
     Attributes:
-        id: its version.
         parameters: ``JOINT.NAME`` -> (lower, upper) in SI units at the joint.
         window: duration of motion between two updates, s.
         forgetting: forgetting factor of the recursive estimate at each update, 0 to 1.

@@ -15,7 +15,6 @@ class TwinError(Exception):
         line: 1-based line in that file.
         column: 1-based column in that line.
         where: the wrong field, dotted (``tolerance.position``), or an element, ``link 'wrist'``.
-        value: the wrong value.
         unit: the unit of ``value``.
         expected: description of a valid value.
     """

@@ -45,7 +45,6 @@ class Golden:
 
     Attributes:
         id: path relative to the twin's root without suffix, ``golden/fk/home``.
-        path: the spec file.
         kind: name of the check that runs it.
         title: one line for people.
         realizations: names from ``twin.yaml`` that it runs on, the authoritative one first.

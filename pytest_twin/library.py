@@ -182,7 +182,6 @@ def verify(release: StrPath, *, keys: StrPath | None = None) -> Verdict:
     (True, 1)
 
     Args:
-        release: folder of the release.
         keys: folder of trusted public keys; ``keys/`` of the twin by default.
 
     Raises:

@@ -78,7 +78,6 @@ class Row:
     """One simulation of a batch.
 
     Attributes:
-        trial: recording to replay.
         model: model to step; models of one batch need not be equal.
         calibration: joint -> sign, scale and offset of its encoder.
         source: the model's file, for error messages.
@@ -95,7 +94,6 @@ class Replayed:
     """Simulated motion under the commands of a trial, at the trial's state stamps.
 
     Attributes:
-        trial: the replayed trial.
         time: (n,) s from the first state.
         position: (n, j) rad or m, joints as ``trial.joints``, as the robot's encoders would read.
         velocity: (n, j) rad/s or m/s, likewise.
@@ -200,7 +198,6 @@ def frame_poses(realization: Realization, qpos: FloatArray, frame: str) -> Float
     """(n, 7) position (m) and quaternion (w x y z) of a frame in the world.
 
     Args:
-        realization: the model.
         qpos: (n, nq) configurations; rows with NaN give NaN.
         frame: a site or a body.
 

@@ -35,20 +35,12 @@ def call_began() -> float:
 
 
 def watch(child: int) -> None:
-    """Count the processor time of a child while it runs.
-
-    Args:
-        child: process id.
-    """
+    """Count the processor time of a child while it runs."""
     _running[child] = psutil.Process(child)
 
 
 def unwatch(child: int) -> None:
-    """Count a child as ended: the system adds its time when this process waits for it.
-
-    Args:
-        child: process id.
-    """
+    """Count a child as ended: the system adds its time when this process waits for it."""
     _running.pop(child, None)
 
 

@@ -21,7 +21,6 @@ class TrialGroup:
     """Identification from recordings that were made under one condition.
 
     Attributes:
-        record: its result.
         conditions: name, such as ``temperature`` (deg C) or ``load`` (kg) -> value.
         unaffected: changed inputs that do not touch the record.
     """
@@ -57,7 +56,6 @@ class RangesSpec:
         final: recordings that only check the ranges.
         held_out: recordings that were not fitted; they may widen the ranges.
         trials: identifications of the same robot under different conditions.
-        tolerances: declared manufacturing tolerances.
         record: ranges in use, a ``ranges.json``; None without.
         unaffected: changed inputs that do not touch these ranges.
     """

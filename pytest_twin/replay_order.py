@@ -52,7 +52,6 @@ def doubt_of_order(realization: Realization, trial: Trial) -> str | None:
     few joints every exchange of two.
 
     Args:
-        realization: the model.
         trial: a trial whose joints have the order of the model's actuators.
     """
     better = _better_order(realization, trial)

@@ -81,7 +81,6 @@ class CoupledJoint:
     """Kinematic coupling: a second joint also turns this joint's motor.
 
     Attributes:
-        joint: the other joint.
         ratio: the motor turns by ``gear * (own + ratio * other)``.
     """
 
@@ -94,8 +93,6 @@ class JointSignals:
     """Meaning of the recorded signals of one joint.
 
     Attributes:
-        position: its positions.
-        effort: its efforts.
         gear: gear ratio, turns of the motor per turn of the joint (rad of the motor per m at a
             slide); negative where they turn in opposite directions.
         zero: position of the joint where the motor's encoder reads zero, rad or m.

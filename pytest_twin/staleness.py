@@ -127,8 +127,6 @@ def dependency_map(
     that does not exist, so that they are stale.
 
     Args:
-        twin: the twin.
-        goldens: its goldens.
         models: realization -> its parts and structure.
         lookups: functions that look up checks, versions and file digests.
     """
@@ -169,7 +167,6 @@ def twin_parts(twin: Twin, file_digest: Callable[[str], str | None]) -> dict[str
     """Parts that ``twin.yaml`` declares in addition to the model, by part id.
 
     Args:
-        twin: the twin.
         file_digest: path of a declared part's file -> SHA-256, None where there is no such file.
     """
     contents: dict[str, dict[str, Any]] = {

@@ -97,8 +97,6 @@ class RealizationRef:
     """One realization.
 
     Attributes:
-        name: its name.
-        file: model file.
         simulator: simulator that steps it.
         record: result of the command that fitted the model; None for any other model.
         unaffected: changed inputs of that result that do not touch the model.
@@ -175,7 +173,6 @@ class Calibration:
     """Pose of the robot's base, and calibration of its encoders.
 
     Attributes:
-        id: its identifier.
         transform_world_to_base: pose of the base in the world; None for the model's own.
         joints: joint -> encoder offset, sign and scale.
         path: the file that states it.
@@ -194,7 +191,6 @@ class CalibrationEntry:
     """A record of ``pytest-twin calibrate`` that the twin lists.
 
     Attributes:
-        record: content of its file.
         use: names of the estimates that the twin uses.
         date, instrument: when and with what it was measured, or None.
         supersedes: ids of earlier records that it replaces.
@@ -214,7 +210,6 @@ class Fit:
     """Identified parameters that replace values of the model.
 
     Attributes:
-        id: its identifier.
         patches: ``joint``, ``actuator``, ``body`` or ``geom`` -> element -> attribute -> value.
         option: ``gravity`` (m/s^2) and ``timestep`` (s), where fitted.
         path: the file that states it.
@@ -235,7 +230,6 @@ class FitEntry:
     """A record of ``pytest-twin identify`` that the twin lists.
 
     Attributes:
-        record: content of its file.
         date: date of the recordings, or None.
         supersedes: ids of earlier records that it replaces.
         unaffected: changed inputs that do not touch it.
@@ -252,7 +246,6 @@ class Affects:
     """Rule that selects goldens: those that match every tuple that is not empty.
 
     Attributes:
-        kinds: kinds of golden.
         goldens: patterns of golden ids, with ``*`` and ``?``.
         joints: joints; a golden matches if its result depends on one of them.
     """
@@ -288,7 +281,6 @@ class AcceptedFinding:
     """A critical finding of the audit with which a release may be signed.
 
     Attributes:
-        reason: why it is accepted.
         owner: person who answers for it.
     """
 
@@ -312,7 +304,6 @@ class Authority:
     """Rule that makes a realization authoritative for some goldens.
 
     Attributes:
-        realization: its name.
         goldens: rule that selects the goldens.
     """
 
@@ -352,7 +343,6 @@ class Twin:
 
     Attributes:
         path: the file; ``root``: its folder.
-        name: name of the twin.
         realizations: name -> file and simulator; ``model:`` is the first, named ``mujoco``.
         source: the supplier's files.
         edited: generated file of the asset -> why it was changed.
@@ -381,7 +371,6 @@ class Twin:
         residual, update: residual force and online update, or None.
         shadow: criteria for the promotion of a candidate.
         budget: task of the error budget.
-        ranges: sources of randomization ranges.
         lines: dotted field -> 1-based line in ``path``.
     """
 
@@ -519,12 +508,7 @@ class Twin:
         return tuple(found)
 
     def authority_of(self, ident: str, kind: str) -> str | None:
-        """The authoritative realization of a golden; None where no rule matches.
-
-        Args:
-            ident: id of the golden.
-            kind: kind of the golden.
-        """
+        """The authoritative realization of a golden; None where no rule matches."""
         for rule in self.authority:
             kinds, patterns = rule.goldens.kinds, rule.goldens.goldens
             if (not kinds or kind in kinds) and (
@@ -840,7 +824,6 @@ class _Reader:
 
         Args:
             noun: the kind of record, in the singular.
-            own: id of the record.
             place: field that the id comes from.
             where, data: path and fields of the record's entry in the twin.
             earlier: ids of the entries above it.

@@ -84,7 +84,6 @@ class Recursion:
     """State of the recursive estimation.
 
     Attributes:
-        spec: declaration of the update.
         base: (p,) parameters of the base model.
         value, covariance: (p,) estimate and (p, p) covariance.
         has_fallback: whether the base parameters are in use.

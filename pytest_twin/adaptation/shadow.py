@@ -47,7 +47,6 @@ class ComparedTwin:
     """The release or the candidate.
 
     Attributes:
-        twin: the twin.
         realization: its first realization.
     """
 

@@ -49,10 +49,7 @@ def try_update(
     """Run an update and compare it with the base; each window is predicted before it is used.
 
     Args:
-        spec: declaration of the update.
-        realization: realization of the candidate.
         trials: trials in order of time.
-        policy: criteria of the release.
         released: realization of the release, if its model is different. The candidate must then
             improve on its prediction, so that an update cannot hide a worse model.
         released_update: update of the release, if its model is different and it has one.

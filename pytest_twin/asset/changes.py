@@ -17,7 +17,6 @@ class Change:
         line: 1-based line there.
         where: the element and attribute, ``joint 'elbow'.axis``.
         before, after: values as written, with unit; None if the value did not exist or was removed.
-        why: the reason.
         patch: the accepted patch that caused it, None if only the form changed.
     """
 

@@ -297,12 +297,7 @@ class FileChange:
 
 
 def changes_of_source(path: Path, manifest: Manifest) -> list[FileChange]:
-    """Return changes of the source since intake; empty if it is elsewhere.
-
-    Args:
-        path: path of the manifest.
-        manifest: its content.
-    """
+    """Return changes of the source since intake; empty if it is elsewhere."""
     if not manifest.keeps_source:
         return []
     folder, files = path.parent, manifest.states["source"].files
@@ -334,12 +329,7 @@ def require_unchanged_source(path: Path, manifest: Manifest) -> None:
 
 
 def changes_of_generated(path: Path, manifest: Manifest) -> list[FileChange]:
-    """Return changes of the files that ``realize`` wrote, except comments and formatting of XML.
-
-    Args:
-        path: path of the manifest.
-        manifest: its content.
-    """
+    """Return changes of the files that ``realize`` wrote, except comments and formatting of XML."""
     changed = []
     for name in STATES[1:]:
         state = manifest.states.get(name)

@@ -52,10 +52,8 @@ class Normalized:
     """A normalized asset.
 
     Attributes:
-        urdf: the file.
         files: every file that was written, the URDF first.
         source_files: every file that was read, the URDF first.
-        changes: changes of the source.
         flags: faults that were kept.
         repairs: link -> accepted repair: ixx iyy izz ixy ixz iyz in its inertial frame, kg*m^2.
         collision_points: collision mesh, as named in the source -> (n, 3) vertices, m.

@@ -32,10 +32,6 @@ def frozen_source(source: Path) -> tuple[Path, Manifest] | None:
 def require_in_source(files: Iterable[Path], path: Path, known: Manifest) -> None:
     """Check that the files of a xacro file are in the source that intake keeps.
 
-    Args:
-        files: the files.
-        path, known: the manifest.
-
     Raises:
         PathError: a file is elsewhere, so that no later change of it would be seen.
     """
@@ -55,7 +51,6 @@ def complete(staging: Path, out: Path, source: Path, made: dict[str, Any]) -> No
     Args:
         staging: folder with the new files.
         out: folder of the asset, to which they will be moved.
-        source: the source URDF.
         made: result of ``realize``; its key ``manifest`` is set here.
 
     Raises:

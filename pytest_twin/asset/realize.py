@@ -52,7 +52,6 @@ def realize(
     """Write every form of a robot into an empty folder.
 
     Args:
-        source: the URDF.
         folder: an empty folder for the results.
         accept: accepted patches, ``inertia-repair:<link>``.
         progress: called with the fraction done.

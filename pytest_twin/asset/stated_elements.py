@@ -17,7 +17,6 @@ class StatedElement:
     """One element or attribute of a URDF.
 
     Attributes:
-        node: the element.
         label: ``joint/limit@jerk``.
         owner: the named element that it belongs to, ``joint 'elbow'``.
         value: value as written.

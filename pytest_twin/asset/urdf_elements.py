@@ -24,7 +24,6 @@ class Destination:
     Attributes:
         row: row of the semantic-loss matrix, None if every realization preserves it.
         code: code of the audit finding, None if the row suffices.
-        why: consequence of the loss.
         settle: next step.
     """
 
@@ -107,7 +106,6 @@ class Entry:
         path: below ``robot``, ``joint/limit``.
         attribute: its name, :data:`TEXT` for the element's text, None for the element itself.
         sample: a valid value other than its default.
-        goes: how realizations represent it.
         neutral: a value without effect, None if every value has an effect.
         is_physical: whether it affects the robot's motion.
     """

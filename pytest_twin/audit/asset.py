@@ -255,7 +255,6 @@ class Asset:
         sites: named frames other than bodies: name -> (body, position (3,) [m], place).
         poses: poses that the file declares (keyframes): name -> joint -> rad or m.
         custom: elements and attributes that no format defines: path -> places.
-        faults: findings of the reader.
         files: every file that was read.
         located: folders that may contain its files, None for the default.
         unseen: layer that was not audited -> reason.

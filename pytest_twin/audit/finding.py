@@ -50,12 +50,10 @@ class Finding:
         code: ``layer.what``, the same for every element with the same fault.
         severity: ``critical``: physically impossible, or every simulator misinterprets it;
             ``warning``: rarely intended; ``info``: a fact; ``unknown``: the file does not state it.
-        place: file and line.
         element: description of the element, such as ``link 'wrist'``.
         title: the fault, one sentence without a final full stop.
         value: stated or computed value, in ``unit``.
         expected: correct value, or range of plausible values.
-        why: consequence of the fault.
         settle: next step: the correction, or the source or test that gives the value.
     """
 

@@ -62,7 +62,6 @@ class Comparison:
     """A body compared with the convex hull of its shape at uniform density.
 
     Attributes:
-        body: name of the body.
         mass: mass, kg.
         moments: (3,) principal moments, kg*m^2.
         is_stated: False if a compiler computed mass and inertia from the geometry.

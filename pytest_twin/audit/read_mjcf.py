@@ -170,7 +170,6 @@ class _Nodes:
         """File and line of a body's mass and inertia, or else of the body.
 
         Args:
-            body: its name.
             place: its place, where it is known.
         """
         body_place = place or self.place("body", body)

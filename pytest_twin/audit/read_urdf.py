@@ -51,7 +51,6 @@ def read(
     """Read a URDF file and its meshes.
 
     Args:
-        path: the URDF.
         located: folders that may contain meshes.
 
     Raises:

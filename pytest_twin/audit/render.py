@@ -57,7 +57,6 @@ def views(
     """Return a PNG of the shapes of a ``role`` at a pose; None if there are none.
 
     Args:
-        asset: the robot.
         values: joint -> rad or m.
         role: ``visual`` or ``collision``.
         marked: bodies to draw in red.
@@ -135,8 +134,6 @@ def drawn_triangles(
     Many or finely meshed shapes are simplified, so that a picture has a bounded number of them.
 
     Args:
-        asset: the robot.
-        shapes: what is drawn.
         values: joint -> rad or m.
         marked: bodies to draw in red.
 

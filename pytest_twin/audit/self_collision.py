@@ -48,7 +48,6 @@ class NearPair:
     """Two bodies near each other.
 
     Attributes:
-        first, second: names of the bodies.
         distance: distance by MuJoCo, m, negative for an overlap.
         by_coal: distance by coal, m; None if coal computed none.
     """
@@ -64,7 +63,6 @@ class PoseResult:
     """Distances at one pose.
 
     Attributes:
-        name: name of the pose.
         values: joint -> rad or m.
         near: pairs of near bodies, the nearest first.
         checked_pairs: number of pairs of shapes whose distance was computed.

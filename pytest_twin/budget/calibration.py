@@ -52,8 +52,6 @@ class Part:
     """Unknowns of one kind in a cause.
 
     Attributes:
-        name: description.
-        category: id of its category.
         columns: columns of its unknowns.
         estimate: unknown -> value and unit.
     """
@@ -73,7 +71,6 @@ class CalibrationUnknowns:
         names: (p,) names of the unknowns.
         covariance: (p, p) covariance, m, rad and s.
         parts: unknowns by kind.
-        placed: poses among the unknowns.
         zeros: joint of the chain -> column of its zero.
         links: link deviations, each with its column.
         delay: column of the time offset, or None.

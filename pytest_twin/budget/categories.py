@@ -13,7 +13,6 @@ class Category:
 
     Attributes:
         id: id in ``budget.json`` and ``owners:``.
-        metric: reported quantity.
         command: command that measures it.
         next_test: experiment that distinguishes its causes, or reduces their uncertainty.
         goldens: kinds of golden that test it.

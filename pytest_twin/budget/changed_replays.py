@@ -46,7 +46,6 @@ class ChangedReplays:
     Effects of a fit that the MJCF cannot hold act in all of them.
 
     Args:
-        realization: realization of the twin.
         trial: the trial, of which only commands and the first state are used.
 
     Attributes:

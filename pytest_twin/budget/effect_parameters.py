@@ -24,7 +24,6 @@ class EffectParameter:
 
     Attributes:
         effect, joint: id and joint; joint None for an effect of the whole robot.
-        law: the parameter.
         value: its value in the realization, SI units.
         lower, upper: smallest and largest value that a robot can have; of an error relative to the
             model's value, smallest and largest ratio to it.
@@ -53,7 +52,6 @@ def effect_parameter(
     Args:
         name: ``JOINT.EFFECT`` or ``JOINT.EFFECT.PARAMETER``; JOINT is ``robot`` for the whole one.
         realization: the twin's first realization.
-        patched: its effects.
     """
     place, _, rest = name.partition(".")
     effect, _, parameter = rest.partition(".")
@@ -83,7 +81,6 @@ def with_values(patched: PatchedModel, values: Mapping[EffectParameter, float]) 
     """Return the effects with other values of parameters that the MJCF does not contain.
 
     Args:
-        patched: the effects.
         values: parameter -> value, SI units; it is limited to what a robot can have.
     """
 
@@ -107,7 +104,6 @@ def bounds(law: Parameter, stated: float, total: float | None) -> tuple[float, f
     these only zero counts.
 
     Args:
-        law: parameter of the effect.
         stated: value in the twin's realization, SI units.
         total: sum of the model's value and this addition, SI units; None if it is no addition to a
             value of the joint.

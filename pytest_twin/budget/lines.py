@@ -41,7 +41,6 @@ class Line:
     """One independent cause and its effect.
 
     Attributes:
-        id: id of its record.
         category: category of the part that moves the frame most.
         record: kind, id, file, digest and date of the record.
         parts: correlated parts, each with category, estimates and its own displacement.
@@ -51,7 +50,6 @@ class Line:
         effort: joint -> RMS error of its effort, N*m or N.
         slides: prismatic joints, in m and N.
         method: method of the propagation to the task.
-        warnings: limitations of the result.
         left_out: unknowns that do not move the frame, with the reason.
     """
 

@@ -28,7 +28,6 @@ class Shift:
     """Shift of a joint's position by one parameter.
 
     Attributes:
-        joint: name of the joint.
         slope: change of the position per unit of the parameter and of the quantity ``by``.
         by: quantity that the shift is proportional to: the joint's ``velocity``, its ``load``, the
             ``side`` of the gap on which the load presses the teeth (1 or -1), or ``one``.

@@ -38,7 +38,6 @@ class Task:
         velocity: (n, j) velocities from encoders, rad/s or m/s, or None without known motion.
         source: description of where the readings come from.
         trial: motion with commands, at most ``SIMULATED_S`` long, or None.
-        notes: messages on assumptions.
         payloads, controllers: names of those that the metadata of the task's recordings state.
     """
 

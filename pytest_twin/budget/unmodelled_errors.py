@@ -25,7 +25,6 @@ def unmodelled_errors(
 
     Args:
         task: frame and poses.
-        lines: lines of the budget.
         twin: twin with the records.
         superseded: ids of records that are not used.
     """

@@ -35,7 +35,6 @@ def assess(
     Args:
         total: displacement by all lines; None if no record affects the frame.
         unmodelled: held-out errors of the records.
-        spec: tolerance of the task.
         is_complete: whether every record was tried. Otherwise more errors can only exceed the
             tolerance.
         untested: conditions of the task that no record was tested under, as a sentence. The errors

@@ -16,9 +16,7 @@ def calibration_basis(plan: Plan, inputs: Iterable[str], folder: Path) -> dict[s
     """Return ``basis`` of ``calibration.json``.
 
     Args:
-        plan: the plan.
         inputs: its input files, relative to the plan's folder.
-        folder: folder of the record.
 
     Raises:
         TwinError: the robot's model cannot be read.

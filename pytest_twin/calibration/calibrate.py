@@ -99,7 +99,6 @@ def calibrate_file(
     At the time limit and at a stop request of the parent, the best values so far are returned.
 
     Args:
-        plan: path of the plan.
         progress: called with the fraction done, 0 to 1.
         folder: folder that keeps observations and images of recordings; by default they are
             deleted.
@@ -210,12 +209,9 @@ def calibrate(
     """Return the content of ``calibration.json`` for observations in memory.
 
     Args:
-        plan: the calibration plan.
-        observations: the measurements.
         chain: kinematic chain of the robot; None if flange poses are given.
         progress: called with the fraction done, 0 to 1.
         images: images of the observations, if any.
-        rejected: unusable images.
 
     Raises:
         TwinError: the observations cannot be used.

@@ -110,7 +110,6 @@ class ChainParameters:
         count: number of all parameters of the fit.
         zeros: (n,) value added to each joint's reading, rad or m.
         zero_columns: (n,) column of each joint's zero, -1 where it is fixed.
-        links: deviations of links.
         link_values: values of the deviations, m or rad.
         link_columns: columns of the deviations.
     """

@@ -255,7 +255,6 @@ def _ordered(rows: _Rows, name: str, columns: slice, least_share: float) -> _Can
 
     Args:
         rows: all residuals.
-        name: the quantity.
         columns: its columns.
         least_share: fraction of the squared residuals that the change must remove.
     """

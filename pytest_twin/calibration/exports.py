@@ -35,9 +35,7 @@ def export_files(plan: str, document: Mapping[str, Any], folder: str) -> dict[st
     """Return file name -> text of each export of an accepted calibration; empty for any other.
 
     Args:
-        plan: path of the plan.
         document: content of ``calibration.json``.
-        folder: folder of the files.
     """
     if document["verdict"] != "accepted":
         return {}

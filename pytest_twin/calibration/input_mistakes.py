@@ -63,7 +63,6 @@ def find_mistakes(fit: Fit, of_corners: FreeScale | None = None) -> tuple[InputM
     """Return mistakes that explain the observations far better than a fit does, the best first.
 
     Args:
-        fit: the fit.
         of_corners: scale of the target from the corners in images, if any.
     """
     problem = fit.problem

@@ -63,7 +63,6 @@ class Gauge:
     """A joint zero that another unknown can always replace, and that is therefore fixed.
 
     Attributes:
-        joint: index of the joint.
         words: a sentence for people.
     """
 
@@ -211,7 +210,6 @@ def untested_directions(fit: Fit, held: CalibrationProblem) -> tuple[str, ...]:
     elsewhere along this axis. Joint zeros, links and the size of the target keep their estimates.
 
     Args:
-        fit: the fit.
         held: the problem on the held-out observations.
     """
     rows = {int(row) for term in held.terms for row in term.rows}

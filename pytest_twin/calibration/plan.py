@@ -82,11 +82,8 @@ class Plan:
     """Content of a ``calibration.yaml``.
 
     Attributes:
-        id: id of the record.
-        path: path of the file.
         robot: URDF, MJCF or ``twin.yaml``; None if flange poses are given.
         flange: the robot's frame that carries camera, target, markers or tool.
-        observations: files of observations.
         streams: ``hand`` and ``camera`` -> file of poses, each on its own clock.
         estimate: names of the estimated quantities.
         mount: ``hand`` for a camera on the flange, ``world`` for a fixed camera.

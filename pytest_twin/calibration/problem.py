@@ -42,13 +42,9 @@ class CalibrationProblem:
     """Least-squares problem: terms, unknowns and the robot's kinematics.
 
     Attributes:
-        plan: the calibration plan.
         observations: the rows that the terms index.
         chain: kinematic chain of the robot; None if flange poses are given.
-        terms: residual terms.
-        layout: the unknowns.
         fixed: values of the fixed parameters.
-        notes: messages on assumptions.
         camera_unit: length of one unit of the camera's positions, m; approximate if the scale is
             estimated.
     """

@@ -30,7 +30,6 @@ def reach_hypotheses(fit: Fit, held: CalibrationProblem, errors: Errors) -> list
     the part of the squared error along the z axis of the base.
 
     Args:
-        fit: the fit.
         held: the problem on the held-out observations.
         errors: held-out errors of the fit.
     """

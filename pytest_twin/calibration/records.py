@@ -51,7 +51,6 @@ class CalibrationEstimate:
     """A fit with its uncertainty.
 
     Attributes:
-        fit: the solution.
         covariance: (count, count) of the unknowns, m and rad; zero along ``directions``.
         quantile: half width of a 95 % interval in standard deviations.
         lost: (count,) True for unknowns that the observations do not determine.
@@ -314,7 +313,6 @@ def scale_record(value: float, std: float, quantile: float, prior: float | None)
 
     Args:
         value: scale, 1 for positions in m.
-        std: its standard deviation.
         quantile: half width of the 95 % interval in standard deviations.
         prior: standard deviation of the target's size relative to the stated one; None if the scale
             has no prior.

@@ -27,7 +27,6 @@ def scene(
 
     Args:
         problem: problem with its unknowns.
-        state: the solution.
         errors: ``held_out`` and ``fitted`` -> problem on these observations, and their errors.
     """
     flange = predicted_poses(problem, state)

@@ -69,8 +69,6 @@ class Fit:
     """Solution of a least-squares problem.
 
     Attributes:
-        problem: the problem.
-        state: values of the unknowns.
         noise: kind of noise -> standard deviation, m, rad or px.
         kept: for each term, (m,) True for inliers, which were fitted.
         residuals: for each term, (m, columns) residuals of all measurements.

@@ -21,9 +21,7 @@ class BetterSolver:
     """An algebraic solver with a smaller held-out error than the least squares.
 
     Attributes:
-        name: the solver.
         is_beyond_chance: whether the difference is significant.
-        words: the comparison.
     """
 
     name: str

@@ -18,7 +18,6 @@ def split(
     A fraction is drawn by id, so the order of the rows has no influence.
 
     Args:
-        plan: the calibration plan.
         observations: the rows.
         left_out: ids of observations that are not used; the plan may hold them out.
 

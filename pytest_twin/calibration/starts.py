@@ -47,7 +47,6 @@ def starts(problem: CalibrationProblem, subsets: int = SUBSETS) -> Mapping[str, 
     """Return initial states by the name of their solver.
 
     Args:
-        problem: the observations to fit.
         subsets: number of random subsets of observations that give further starts.
     """
     has_poses = any(isinstance(term, PoseTerm) for term in problem.terms)

@@ -84,7 +84,6 @@ class FreeScale:
 
     Attributes:
         value: stated size of the target divided by its real one.
-        std: its standard deviation.
         degrees: degrees of freedom of ``std``.
     """
 

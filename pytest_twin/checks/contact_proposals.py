@@ -37,10 +37,8 @@ class _Surface:
 
     Attributes:
         name: name of the geom; of its link, if the geom has none.
-        body: name of the link.
         center: (3,) in the link's frame, m.
         radius: radius of its bounding sphere, m.
-        friction: coefficient of sliding friction.
     """
 
     name: str
@@ -97,9 +95,6 @@ def _runs(check: Check, spec: Spec, realization: Realization, friction: float | 
     """Whether a spec brings the pair into contact and gives all numbers to compare.
 
     Args:
-        check: the check.
-        spec: the spec.
-        realization: the robot.
         friction: coefficient of the geom that the object should touch; None for any.
     """
     trial = proposals.draft(check, realization, spec)

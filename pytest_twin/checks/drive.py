@@ -80,7 +80,6 @@ class Drive:
     """A prepared joint, at rest or settled under its holding command.
 
     Attributes:
-        joint: name of the joint.
         model, data: model and state to step; the holding command is in ``data.ctrl``.
         input: control for the command, None if the command is a force on the joint.
         hold: holding command, in ``command_unit``.
@@ -119,8 +118,6 @@ def prepare(golden: Golden, realization: Realization, extremes: tuple[float, flo
     """Prepare the joint of ``golden.target`` and let it settle.
 
     Args:
-        golden: the golden.
-        realization: the model.
         extremes: smallest and largest command of the stimulus, relative to the holding
             command.
 

@@ -32,7 +32,6 @@ def measured_and_predicted(
 
     Args:
         golden: golden with topic and frame.
-        realization: the model.
         results: replays of all sections of the recording.
 
     Raises:

@@ -102,7 +102,6 @@ def resolve_poses(
 
     Args:
         golden: golden whose stimulus has ``poses`` of the form ``POSES_SCHEMA``.
-        realization: the model.
         moved: joints to draw, together with joints coupled to them; None for all.
         field: dotted field of the list.
 

@@ -19,8 +19,6 @@ def twin_of(golden: Golden, realization: Realization, what: str, key: str) -> Tw
     """Return the twin that lists the record.
 
     Args:
-        golden: the golden.
-        realization: its realization.
         what: noun for the record, such as "an identification".
         key: key of ``twin.yaml`` that lists it.
 
@@ -43,12 +41,8 @@ def check_unchanged(
     """Check that a file is unchanged since the record was made from it.
 
     Args:
-        golden: the golden.
         where: field of the spec that names the file.
-        reference: value of this field.
-        path: the file.
         inputs: inputs of the record: file -> SHA-256, hex.
-        expected: description of valid files.
 
     Raises:
         SpecError: the file is not an input of the record, or has changed.

@@ -26,10 +26,8 @@ def scalar_measures(
     A metric that both lack is not reported. A metric that only one has fails with a reason.
 
     Args:
-        golden: the golden.
         names: metric (key of tolerances and of expected values) -> SI unit.
         measured: metric -> number, or None if undefined.
-        subject: subject of the measures.
         undefined: metric -> reason why it can be undefined, such as ``it never settles``.
     """
     measures = []

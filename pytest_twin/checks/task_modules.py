@@ -36,7 +36,6 @@ def declared_modules(
 
     Args:
         golden: the golden, for errors.
-        function_file: file of the function.
         files: other files that the golden declares -> the path as written.
 
     Raises:

@@ -125,7 +125,6 @@ def _measures(
     Args:
         golden: golden with the tolerances.
         errors: ``position`` and ``orientation`` -> measurement -> error, m and rad.
-        subject: subject of the measurements.
         units: tolerance -> SI unit.
 
     Raises:

@@ -104,7 +104,6 @@ def calibrate_into(
         plan: the plan's file.
         seconds: limit of the processor time, s; 0 for none.
         stop: request that ends the calibration early.
-        progress: shows the progress.
 
     Raises:
         TwinError: the input cannot be used.

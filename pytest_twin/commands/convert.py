@@ -156,7 +156,6 @@ def convert_series(
     """Return the series to write, and notes about assumptions.
 
     Args:
-        recording: the recording.
         command_mode: quantity of commands whose format does not state it.
 
     Raises:

@@ -170,7 +170,6 @@ def diagnose_into(
         model, recordings, held_out: files and folders, as on the command line.
         arguments: further fields of :class:`DiagnosisRequest`.
         stop: request that ends the search early.
-        progress: shows the progress.
 
     Raises:
         TwinError: the input cannot be used.
@@ -205,8 +204,6 @@ class DiagnosisRequest:
     """Arguments of a diagnosis, passed to the child process.
 
     Attributes:
-        model: path of the model.
-        recordings, held_out: files and folders.
         out: an empty folder.
         folder: folder that it becomes; itself if empty.
         topics: role -> topic, overrides the twin's topics.

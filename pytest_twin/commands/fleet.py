@@ -51,7 +51,6 @@ class Outcome:
     """Result for one robot.
 
     Attributes:
-        name: name of the robot.
         verdict: verdict of its diagnosis; None if its input cannot be used, or if it was not
             tried.
         error: the reason in that case.
@@ -157,7 +156,6 @@ def diagnose_fleet(robots: Sequence[Robot], options: Options, executor: Executor
     Args:
         robots: robots with different names.
         options: options that they share.
-        executor: executor of the diagnoses.
     """
     return executor.map(partial(diagnose_robot, options=options), robots)
 

@@ -189,7 +189,6 @@ def identify_into(
         model, recordings, held_out: files and folders, as on the command line.
         arguments: further fields of ``IdentificationRequest``.
         stop: request that ends the identification early.
-        progress: shows the progress.
 
     Raises:
         TwinError: the input cannot be used.

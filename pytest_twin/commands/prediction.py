@@ -29,7 +29,6 @@ def predict(
     """Return the predicted joint states of each trial, and notes.
 
     Args:
-        realization: the model.
         patched: effects of a diagnosis that are stepped together with the model, or None.
         trials: trials, of which only commands and first states are used.
         progress: called with the fraction done.

@@ -36,7 +36,6 @@ def add_recordings(
     """Declare RECORDING and ``--held-out``.
 
     Args:
-        parser: parser of the command.
         nargs: number of recordings, as for argparse.
         held_out: help text: purpose and default of the held-out recordings.
     """

@@ -40,7 +40,6 @@ def survey(
     """Return the summary of a recording as JSON data.
 
     Args:
-        recording: the recording.
         options: options with which a command would read it.
         realization: the model; None without one.
     """
@@ -219,7 +218,6 @@ def in_words(
     """Return the summary of one recording as lines of text.
 
     Args:
-        kind: kind of the file.
         one: result of :func:`survey`.
         model: MODEL of the command line.
         options: options of the command line that say how recordings are read.

@@ -110,7 +110,6 @@ class ReplayRequest:
     """Arguments of a replay, passed to the child process.
 
     Attributes:
-        model: path of the model.
         recording: file or folder.
         out: file for the prediction.
         topics: role -> topic, overrides the twin's topics.

@@ -16,7 +16,6 @@ def add_seconds(parser: argparse.ArgumentParser, default: float, at_the_limit: s
     """Declare ``--seconds``.
 
     Args:
-        parser: parser of the command.
         default: default limit, s; 0 for none.
         at_the_limit: what is written then.
     """

@@ -43,7 +43,6 @@ def expanded(path: Path, args: argparse.Namespace) -> Iterator[Expansion | None]
 
     Args:
         path: absolute path of a model; any other file is read as it is.
-        args: arguments of the command.
 
     Raises:
         TwinError: the file cannot be expanded here, or xacro refuses it.

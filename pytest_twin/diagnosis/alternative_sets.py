@@ -28,10 +28,6 @@ def without_comparison(found: SearchResult, run: Run) -> SearchResult:
 
     Rivals that the catalogue lists and that the search did not simulate get the share of their
     linearized fit. If there is no time for that either, no confidence is above 50 %.
-
-    Args:
-        found: the result.
-        run: the running diagnosis.
     """
     final = found.pruned.fitted.hypothesis
     if not final.terms:
@@ -60,7 +56,6 @@ def compare_with_other_sets(
     confidence by the fit so far, and :func:`without_comparison` adds the others.
 
     Args:
-        found: result of the search.
         run: receives a step for each set that was simulated.
 
     Returns:

@@ -39,8 +39,6 @@ def notes_on_coarse_step(
     transmission or a sudden force, a part of it remains and biases the findings.
 
     Args:
-        problem: the problem.
-        hypothesis: the findings.
         errors: errors of each tested joint.
     """
     if not hypothesis.terms:

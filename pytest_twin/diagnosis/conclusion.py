@@ -101,7 +101,6 @@ def fit_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
     they are fitted with a few more iterations.
 
     Args:
-        found: result of the search.
         budget: limits the time of the fit.
     """
     prepared, pruned = _refit(found, budget)
@@ -174,7 +173,6 @@ def evaluate_on_test(
     """Predict the test recordings, which were not used before.
 
     Args:
-        structure: effects and parameters.
         trials: all trials; they say which encoders are stuck.
         test: the test recordings. If none is usable, errors are those of the fitted recordings.
     """

@@ -72,7 +72,6 @@ class Diagnosis:
         verdict: the conclusion in one word.
         longest_windows: errors over the longest windows that the model with the findings follows,
             if windows were predicted and all their errors are at the noise floor.
-        explanation: findings.
         errors: joint -> prediction error on held-out recordings, or on all recordings if none is
             held out.
         unexplained_residuals: joint -> unexplained residual, only for joints that cause it.
@@ -82,7 +81,6 @@ class Diagnosis:
         free: fitted free laws, for forces that no effect of the catalogue explains.
         roles: which recordings were fitted, validated, and held out.
         trace: every step of the search.
-        cost: computing time.
         signals: meaning of the recorded commands, velocities and efforts.
         skipped_searches: searches that were skipped because time or simulations ran out, one line
             each.
@@ -202,8 +200,6 @@ def diagnose(
     Effects are chosen and fitted without the held-out recordings. These are used once, at the end.
 
     Args:
-        realization: the nominal model.
-        trials: the recordings.
         inherited: effects of an earlier diagnosis that the MJCF of ``realization`` cannot hold.
         threads: threads of batch simulations, 0 for all cores.
         run: the limits of time and simulations, and the trace; without limits by default.
@@ -298,7 +294,6 @@ def find_structure(
     """Choose effects and fit them, without the test recordings.
 
     Args:
-        realization: the nominal model.
         trials: the fit recordings; the validation recordings are in the place of held-out ones.
         inherited, threads, run, progress: as :func:`diagnose`.
         possible: possible interpolations of the commands between their stamps, if the recordings

@@ -36,7 +36,6 @@ class EffectSelection:
     """One selection of effects for a problem.
 
     Attributes:
-        problem: the problem.
         comparison: fits and scores the models.
         alternatives: compares effects with their alternatives.
         was_stopped: whether the search ended because ``should_stop`` was true.
@@ -56,8 +55,6 @@ class EffectSelection:
         """Set up a selection among all sets of effects.
 
         Args:
-            problem: the problem.
-            run: the running diagnosis.
             max_residual_share: largest share of the nominal squared error that may remain. Below
                 1, the nominal model is kept if no set leaves less in the linearized motion.
             should_stop: whether the search ends at a model; called after each step of the first

@@ -26,10 +26,7 @@ def residuals_with_step_tolerance(
     """Residuals with efforts measured from the range of predictions within one step.
 
     Args:
-        problem: the problem.
-        hypotheses: sets of effects.
         residuals: (samples, signals) residual of each on ``segments``.
-        segments: indices of segments.
 
     Returns:
         (samples, signals) residual of each; that of an effort is zero inside the range.

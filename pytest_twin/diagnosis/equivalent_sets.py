@@ -71,7 +71,6 @@ class AlternativeSet:
     """Another set of effects, fitted by simulation.
 
     Attributes:
-        model: the fitted set.
         evidence: penalized log-likelihood relative to the final set, tempered for model error.
         prediction_difference: largest RMS difference between its prediction and that of the
             final set on the fit recordings, in noise floors.
@@ -601,9 +600,7 @@ def _other_sets(
     """The most likely fit of each other set, most likely set first.
 
     Args:
-        problem: the problem.
         all_models: all sets with their fits.
-        values: their evidence.
         top: index of the chosen set.
         chosen: the chosen set, fitted to the end.
     """

@@ -116,7 +116,6 @@ def build_explanation(
     """Findings of the selected model, with intervals, gains and alternatives.
 
     Args:
-        prepared: the problem.
         selected: result of the model selection.
         pruned: the terms that remain after pruning.
         trials: fitted trials, then held-out trials, in the numbering of ``prepared``.
@@ -211,7 +210,6 @@ def with_gains(explanation: Explanation, gains: Mapping[Term, float]) -> Explana
     """The same findings with other held-out gains.
 
     Args:
-        explanation: the findings.
         gains: term -> share of the squared held-out error that it removes.
     """
     findings = tuple(replace(f, held_out_gain=gains[f.term]) for f in explanation.findings)
@@ -248,7 +246,6 @@ def with_unexplained_share(
     by its share of the squared held-out error above the floor.
 
     Args:
-        explanation: the findings.
         errors: joint -> errors on the held-out recordings; for a finding of the whole robot the
             joint with the largest unexplained share counts.
     """
@@ -291,7 +288,6 @@ def _gains(problem: Problem, residuals: Sequence[FloatArray]) -> list[float]:
     """Share of the squared held-out error that each term removes.
 
     Args:
-        problem: the problem.
         residuals: (samples, signals) over all segments, with all terms, then without each.
     """
     inside = problem.is_in_test
@@ -443,7 +439,6 @@ def build_estimate(p: Parameter, theta: float, half: float, scale: float, unit: 
     """The reported value and 95 % interval of a parameter, finite and within its bounds.
 
     Args:
-        p: the parameter.
         theta, half: value and half width of the interval, in multiples of ``scale``. If the width
             is not finite, the interval is the whole range of the bounds.
         scale: reference scale in SI units.
@@ -469,7 +464,6 @@ def describe_correlations(
     """One line for each pair of strongly correlated parameters: the combination that is known.
 
     Args:
-        problem: the problem.
         hypothesis: all terms with their parameters.
         term: the term whose parameters are described.
         uncertainty: covariance and correlation of the parameters.

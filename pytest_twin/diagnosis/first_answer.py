@@ -36,7 +36,6 @@ def first_answer(
     """A quick diagnosis of the recording with the largest error relative to its motion.
 
     Args:
-        realization: the nominal model.
         trials: recordings to choose from, without test recordings.
         patched: effects of an earlier diagnosis in addition to the model.
         seconds: limit of the processor time, s.
@@ -59,7 +58,6 @@ def keep_first_answer(result: SearchResult, run: Run) -> SearchResult:
     the search against them. The fit and validation recordings decide.
 
     Args:
-        result: result of the search.
         run: the running diagnosis, with its first answer.
     """
     if not (run.skipped_searches and run.first_answer):

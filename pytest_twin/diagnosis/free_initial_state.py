@@ -115,7 +115,6 @@ def free_initial_states(
         segments: all segments of the problem.
         joints: names of their columns.
         noise: (joints,) standard deviation of a position sample, rad or m.
-        threads: threads of the simulation.
         hypothesis, scales: hypothesis for the simulation of shifted initial states, with its
             scales. With friction an error of the velocity decays, without it grows.
         fixed: effects in addition to every hypothesis, values (1, joints).
@@ -281,7 +280,6 @@ def free_initial_state(
     Args:
         response: (samples * joints, shifts) Jacobian of positions with respect to the state of the
             links, then to motors behind elastic transmissions.
-        segment: the segment.
         noise: (joints,) standard deviation of a position sample, rad or m.
         motors: (joints,) standard deviation of initial motor positions, rad or m; 0 with a rigid
             transmission, also the default.

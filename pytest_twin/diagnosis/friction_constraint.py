@@ -48,7 +48,6 @@ def build_problem_with_better_constraint(
 
     Args:
         setup: the model with its simulation settings.
-        trials: the recordings.
         notes: receives notes for the reader.
 
     Raises:
@@ -83,7 +82,6 @@ def search_with_better_constraint(
     Args:
         setup: the model with its simulation settings.
         prepared, trials: its problem, and the trials.
-        run: the running diagnosis.
         start: hypothesis from which the search starts.
 
     Returns:
@@ -127,7 +125,6 @@ def refit_with_better_constraint(
     Args:
         found: result with the friction constraint of ``setup``.
         setup: the model with its simulation settings.
-        run: the running diagnosis.
 
     Returns:
         The simulation settings with the better constraint, and the result.

@@ -40,7 +40,6 @@ class HiddenState:
         modes: (joints,) kinds of their commands.
         setpoints: setpoints on the trial's clock, in the model's coordinates; NaN columns for
             joints without a command.
-        motion: measured motion.
 
     Raises:
         SpecError: the model has no actuator for a command.

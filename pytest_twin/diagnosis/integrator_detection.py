@@ -57,7 +57,6 @@ def adopt_simulation_step(
     Args:
         setup: the model with its simulation settings.
         prepared, trials: the problem for recordings of a robot, and its trials.
-        run: the running diagnosis.
 
     Returns:
         Settings, problem and trials; unchanged if no simulation is declared or detected.

@@ -43,7 +43,6 @@ def refit_with_detected_timestep(
     Args:
         found: result with the correction of the integration error.
         setup: the model with its simulation settings.
-        run: the running diagnosis.
 
     Returns:
         Settings with the detected substeps, and the result; None if no simulation is detected.

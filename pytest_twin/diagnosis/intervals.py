@@ -83,7 +83,6 @@ def parameter_uncertainty(
     wide as its finite-difference step.
 
     Args:
-        problem: the problem.
         fitted: the fit, with its Jacobian.
         nearby: structures that explain nearly as much.
         in_parts: whether fewer than three recordings are cut into parts for the jackknife. It is

@@ -137,7 +137,6 @@ def locate_error(
     """When and in which regime of a joint a squared error occurs.
 
     Args:
-        motions: motion of the segments.
         squared_error: (samples over all segments,) squared error, not negative.
         joint, unit: column of the joint and its unit, rad or m.
     """
@@ -187,7 +186,6 @@ def describe_frequency_band(motions: Sequence[Motion], left: FloatArray, joint: 
     """The frequency band that contains more of a joint's residual than of its motion, in words.
 
     Args:
-        motions: motion of the segments.
         left: (samples over all segments,) residual, rad or m.
         joint: column of the joint.
     """

@@ -16,7 +16,6 @@ class LocateSettings:
         window: s over which the squared error is smoothed.
         merge: s between two windows up to which they are one.
         cover: share of the squared error that the windows contain.
-        most_windows: windows of one recording.
         touching: largest distance to a surface of the model that is treated as contact, m.
         still: share of the largest speed below which a joint is at rest.
         lift: factor by which a regime's share of the error must exceed its share of the time.

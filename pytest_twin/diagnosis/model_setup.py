@@ -56,7 +56,6 @@ class ModelSetup:
         Whether a simulation made the recordings is detected anew for each set of recordings.
 
         Args:
-            realization: the model.
             inherited: effects of an earlier diagnosis that its MJCF cannot hold.
             threads: threads of the simulation, 0 for all cores.
         """

@@ -23,7 +23,6 @@ class Total:
     """A quantity of a joint: the model's own value and all corrections of it, SI units.
 
     Attributes:
-        name: name of the quantity.
         joint: column of the joint.
         own: the model's value.
         parts: (term, index in theta, value) of each correction.

@@ -55,7 +55,6 @@ class PreparedProblem:
     """A problem, with the trials and settings from which it was built.
 
     Attributes:
-        problem: the problem.
         segment_trial: index of the trial of each segment.
         floor_parts: source of noise -> (joints,) standard deviation, rad or m.
         cold_fractions: normalized temperatures of the trials; empty if they are not known.
@@ -138,13 +137,11 @@ def prepare(
     """Build the problem of explaining ``fit`` and predicting ``held_out``.
 
     Args:
-        realization: the nominal model.
         fit, held_out: trials that are fitted, and trials that are predicted only.
         threads: threads of the simulation; 0 for all cores.
         window: length in s of the windows that motions are cut into. It is halved if the
             discretization error is too large. None: only motions under effort commands are cut.
         contact: surfaces from which all windows keep a distance; None for no restriction.
-        settings: settings of the simulation.
 
     Raises:
         RecordingError: model and recordings share no joint, or no motion to fit keeps the distance
@@ -396,7 +393,6 @@ def _with_effort_weights(
     """The problem with efforts, weighted by their noise and their uncertainty near command jumps.
 
     Args:
-        problem: the problem.
         noise: (joints,) standard deviation of the sensor, N*m or N.
         jumps: for each segment, (samples, joints) uncertainty of the prediction, N*m or N.
     """
@@ -435,7 +431,6 @@ def _has_new_command(segment: Segment, step: float, around: int) -> NDArray[np.b
     such a step the simulated drive gets the mean of both commands; the real one got one of them.
 
     Args:
-        segment: the segment.
         step: time step of the model, s.
         around: number of steps.
     """

@@ -441,7 +441,6 @@ def joint_scales(simulator: BatchSimulator, nominal: Sequence[Predicted]) -> Sca
     They come from the measured motion, the model's inertia and the nominal prediction.
 
     Args:
-        simulator: the segments.
         nominal: prediction of each segment by the nominal model.
     """
     joints, segments = len(simulator.joints), simulator.segments

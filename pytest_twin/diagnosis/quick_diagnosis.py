@@ -81,8 +81,6 @@ def quick_diagnosis(
     """Find the most likely effects of one trial.
 
     Args:
-        realization: the nominal model.
-        trial: the recording.
         patched: effects that a diagnosis wrote outside the MJCF.
         failed: joints whose errors are to be explained; all if none of them is in the trial. Other
             joints may have larger errors within their tolerances.
@@ -280,7 +278,6 @@ class _EffectSearch:
     """Search for the single most likely effect.
 
     Attributes:
-        realization: the nominal model.
         patched: effects that a diagnosis wrote outside the MJCF.
         examined: the trial, or its worst part.
         whole: the problem over ``examined``.
@@ -303,7 +300,6 @@ class _EffectSearch:
         None if no effect is supported.
 
         Args:
-            force: the missing force.
             size: (joints,) RMS error of the nominal model, in noise floors.
         """
         whole, must_explain = self.whole.problem, self.must_explain
@@ -422,8 +418,6 @@ def _fit_candidates(
     """Candidates after a short fit, and their evidence relative to the nominal model.
 
     Args:
-        problem: the problem.
-        found: the candidates.
         nominal: (samples, signals) residual of the nominal model.
         signals: columns of the residual that count.
     """

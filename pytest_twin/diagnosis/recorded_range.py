@@ -102,7 +102,6 @@ def unidentifiable_effects(
     """Effects whose shape parameters are outside the identifiable range, and the reason of each.
 
     Args:
-        problem: the problem.
         hypothesis: effects with parameters.
         recorded: ranges of the recordings; computed from the problem by default.
     """

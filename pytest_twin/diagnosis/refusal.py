@@ -16,7 +16,6 @@ def refused_effects(
     """Effects of a hypothesis that are refused, and the reason of each.
 
     Args:
-        problem: the problem.
         hypothesis: effects with parameters.
         recorded: ranges of the recordings; computed from the problem by default.
     """
@@ -32,9 +31,7 @@ def reportable_without(
     """Whether a set of effects may be reported: none of it is refused or was rejected before.
 
     Args:
-        problem: the problem.
         rejected: effects that pruning rejected as only the closest known ones.
-        recorded: ranges of the recordings.
     """
     excluded = frozenset(rejected)
     return lambda other: (

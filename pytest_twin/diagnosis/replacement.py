@@ -29,9 +29,6 @@ def replace_closest_known(
     with model error included, and must keep more effects after pruning than the present set.
 
     Args:
-        problem: what is explained.
-        comparison: of the problem.
-        selected: result of the search.
         pruned: the set after pruning.
 
     Returns:

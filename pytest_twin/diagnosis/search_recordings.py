@@ -70,7 +70,6 @@ class RecordingSearchResult:
 
     Attributes:
         setup: the model with the simulation settings of this result.
-        found: the best result.
         location_window: length in s of the windows in which the unexplained residual is located;
             None for whole recordings.
         notes: one line each, for the reader.
@@ -92,7 +91,6 @@ def search_recordings(
     Args:
         setup: the model with its simulation settings.
         prepared, trials: the problem over whole recordings, and its trials.
-        run: the running diagnosis.
     """
     notes: list[str] = []
     problem = prepared.problem
@@ -303,10 +301,8 @@ def _compare_with_windows(
     """The best result of whole recordings, windows, and whole recordings with effects of windows.
 
     Args:
-        found: result of whole recordings.
         cut, kept: the problem in windows, and its trials.
         effects_without_contact: effects that were found away from contact.
-        run: the diagnosis.
         notes: receives how the effects were selected.
         build_longer_windows: builds the problem in longer windows.
     """

@@ -55,7 +55,6 @@ class SearchResult:
         selected, pruned, explanation: the chosen effects, those that pruning keeps, the findings.
         before, after: (samples, signals) residuals over all segments.
         errors: joint -> prediction errors on held-out recordings, or on all without any.
-        verdict: of these errors.
         likelihood: that its parameters maximize.
         whole: problem of whole recordings, which orders the findings of windows.
     """
@@ -287,7 +286,6 @@ def refit_with_full_drive(
     whole recordings that starts from short windows ends in one of many local minima.
 
     Args:
-        found: result over whole recordings.
         other: result in windows.
         longer: the problem in longer windows.
     """
@@ -357,7 +355,6 @@ def build_problem(
 
     Args:
         setup: the model and its simulation settings.
-        trials: the recordings.
         notes: receives a line for each recording that is left out.
         window, contact, scales: as :func:`~pytest_twin.diagnosis.prepare.prepare` has them.
 
@@ -467,7 +464,6 @@ def joint_errors(
     """Joint -> RMS errors on held-out recordings, or on all where none is held out.
 
     Args:
-        prepared: the problem.
         before, after: (samples, signals) residuals over all segments, without and with effects.
     """
     problem = prepared.problem

@@ -50,7 +50,6 @@ def set_penalty(
 
     Args:
         comparison: model comparison of the problem.
-        h: the set.
         samples: (signals,) effective samples.
         idle: number of parameters without influence, which are not penalized.
     """
@@ -69,9 +68,7 @@ def idle_parameters(
     They are not penalized. Each effect keeps at least one penalized amplitude.
 
     Args:
-        problem: the problem.
         linear: linearization by which the change is computed.
-        sets: the sets of effects.
     """
     tried, base = list(sets), list[dict[tuple[Term, int], int]]()
     for h in sets:
@@ -123,7 +120,6 @@ def set_evidence(
 
     Args:
         comparison: model comparison of the problem.
-        models: the sets.
         idle: number of parameters of each set that are not penalized.
 
     Returns:
@@ -159,7 +155,6 @@ def evidence_on(
 
     Args:
         comparison: model comparison of the problem.
-        sets: the sets.
         residuals: (samples, signals) residual of each set on these recordings.
         lengths: number of samples of each segment.
         fitted: whether these are the fit recordings; the penalty is then subtracted.

@@ -26,7 +26,6 @@ def share_confidence(selected: SelectedModel, compared: ComparedSets) -> Selecte
     which model error tempers all evidence.
 
     Args:
-        selected: result of the search.
         compared: the likeliest set and the other sets.
     """
     own = compared.best.hypothesis

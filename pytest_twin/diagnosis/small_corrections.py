@@ -28,7 +28,6 @@ def small_corrections(
     explain that error.
 
     Args:
-        problem: the problem.
         hypothesis: all effects.
         changes: (terms, joints) RMS change of predicted positions without each term, rad or m.
         before: (joints,) RMS error of the nominal model, rad or m.

@@ -26,7 +26,6 @@ class Step:
         score: score of the proposal minus that of the nominal model; None if it was not computed.
         best: effects of the best model so far.
         best_score: score of the best model minus that of the nominal model.
-        decision: decision about the proposal.
         reason: reason of the decision, in one sentence.
         simulations: simulations of all data so far, in the whole diagnosis.
         seconds: time since the diagnosis began, s.

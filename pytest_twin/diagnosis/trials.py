@@ -53,10 +53,8 @@ def read_trials(
     only one of its role. Held-out recordings do not influence how the others are read.
 
     Args:
-        recordings: files and folders.
         held_out: recordings that are not fitted; they need not be among ``recordings``.
         topics: role -> topic.
-        structure: joints of the model.
         options: how recordings are read.
         episodes: data set -> indices of its episodes that are used, from 0; all if it is absent.
 

@@ -37,8 +37,6 @@ def drop_other_units(realization: Realization, trials: TrialSet, notes: list[str
     """Trials without the recordings that are in degrees or encoder counts.
 
     Args:
-        realization: the nominal model.
-        trials: the recordings.
         notes: receives a line for each recording that is left out.
 
     Raises:

@@ -71,7 +71,6 @@ class JointError:
     """RMS prediction error of one joint in ``unit``.
 
     Attributes:
-        before: of the nominal model.
         after: of the model with the findings.
         floor: noise floor (sensor noise, sample timing, discretization).
         unit: rad or m.
@@ -131,7 +130,6 @@ def verdict(errors: Mapping[str, JointError], findings: Sequence[Reported]) -> V
 
     Args:
         errors: joint -> held-out errors before and after the findings.
-        findings: the findings.
     """
     mismatched = any(e.is_mismatched for e in errors.values())
     if not findings:

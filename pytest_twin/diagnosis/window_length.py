@@ -34,7 +34,6 @@ def model_follows_recordings(problem: Problem, left: FloatArray) -> bool:
     """Whether the RMS error of every joint is small against its travel in a segment.
 
     Args:
-        problem: the problem.
         left: (samples, signals) residuals of all segments.
     """
     segments = problem.simulator.segments

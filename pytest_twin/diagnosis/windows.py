@@ -72,7 +72,6 @@ def segments_of(
 
     Args:
         realization: the model, which gets the controller and payload of the trial.
-        trial: the recording.
         index: index of the trial, stored in its segments.
         joints: names of the columns; the trial has all of them.
         cutting: which parts become segments; the whole trial by default.

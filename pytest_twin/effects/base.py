@@ -430,9 +430,7 @@ class Effect:
         """Other effects with nearly the same motion: effect id -> its parameters, SI.
 
         Args:
-            values: own parameters, SI.
             layout: indices of the model's joints.
-            model: the nominal model.
             joint: column of the joint that it acts on; -1 for the whole robot.
         """
         return {}
@@ -564,7 +562,6 @@ class ModelFields:
     """Model fields that effects may change, (rows, joints) unless noted.
 
     Attributes:
-        damping: passive viscous damping.
         armature: reflected inertia of the drive, kg*m^2 or kg.
         friction: dry friction of the model, N*m or N.
         constant_force: constant generalized force, N*m or N.

@@ -21,12 +21,7 @@ _MAX_CUTS = 16
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Rows that step together.
-
-    Attributes:
-        rows: indices.
-        seconds: estimated time.
-    """
+    """Rows that step together."""
 
     rows: NDArray[np.int64]
     seconds: float

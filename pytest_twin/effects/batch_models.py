@@ -48,7 +48,6 @@ class PreparedBatch:
     """A batch whose model fields hold the effects of each row.
 
     Attributes:
-        batch: batch of the engine.
         world: initial state and drives of the rows.
         is_elastic: (rows, joints) whether the transmission is not rigid.
         constant: (rows, joints) constant effort on the links, N*m or N.
@@ -71,7 +70,6 @@ class _Drives(NamedTuple):
 
     Attributes:
         driven: joints with a drive.
-        act: their actuators.
         gear: (drives,) gear ratios; None if all are 1.
         reversed_drive: (drives,) whether the gear ratio is negative; None if none is.
     """
@@ -269,7 +267,6 @@ class BatchModels:
         Args:
             rows: index of the segment of each row.
             effects: effects with their (rows, joints) parameters.
-            threads: threads of the batch.
         """
         models = [self.bounded_model(int(r)) for r in rows]
         # Effects between steps synchronize the threads at every step, so few rows use one thread.

@@ -273,7 +273,6 @@ class BatchSimulator:
 
         Args:
             rows: (rows,) index of each row's segment.
-            values: effects.
             load: (joints,) effort, N m or N.
         """
         effects = active_effects(add_fixed_effects(values, self.fixed, len(rows)))

@@ -152,7 +152,6 @@ class _SegmentCommands:
 
     Attributes:
         stamps: (stamps + 1,) stamps and a time far behind the last one, s.
-        sent: the commands.
         in_range: commands within the range that drives can follow; None if they all are.
     """
 

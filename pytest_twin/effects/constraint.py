@@ -47,7 +47,6 @@ def stiffen_friction(
 
     Args:
         model: changed in place.
-        dofs: degrees of freedom.
         timestep: time step of the nominal model, s.
     """
     solref, solimp = stiff_friction(float(model.opt.timestep))

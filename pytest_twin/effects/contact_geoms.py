@@ -67,7 +67,6 @@ class ContactGeoms:
 
         Args:
             expand: returns the (rows, ...) array of a model field.
-            fields: values of the effects.
             least_time: s, see :func:`scaled_solref`.
         """
         if not self.world.size:
@@ -128,7 +127,6 @@ def find_contact_geoms(
     """Geoms that come close to each other in measured poses.
 
     Args:
-        model: the nominal model.
         joint_ids: (joints,) of the poses' columns; other joints keep the model's position.
         poses: (n, joints) arrays, rad or m.
     """
@@ -192,7 +190,6 @@ def is_far_from_surfaces(
     """(n,) whether the robot is farther than :data:`CONTACT_DISTANCE` from all surfaces.
 
     Args:
-        model: the nominal model.
         joint_ids: (joints,) of the columns of ``poses``.
         contact: the surfaces, and the geoms of the robot that may touch them.
         poses: (n, joints) rad or m.

@@ -28,8 +28,6 @@ class Gear:
 
     Attributes:
         is_elastic: where the transmission is not rigid.
-        stiffness, damping: of the teeth.
-        gap: backlash.
     """
 
     is_elastic: NDArray[np.bool_]
@@ -132,7 +130,6 @@ class MotorSide:
         constant_effort: constant effort on the motor.
         applied: effort on the motor in this step, without the drive's.
         damping: viscous coefficient on the motor in this step.
-        stiffness: of the teeth.
         tooth_impedance: effort of the teeth per unit of relative speed over a step.
         half_gap: half of the backlash, None without any.
         inertia_per_step: inertia divided by the step; ``impedance`` adds the constant damping.
@@ -167,9 +164,6 @@ class MotorSide:
         """Motors at rest relative to their links, with the transmission deflected by the load.
 
         Args:
-            gear: the transmission.
-            position, velocity: of the link.
-            load: effort on the link.
             motor: properties of the motor side.
             timestep: s.
         """
@@ -220,8 +214,6 @@ class MotorSide:
         """Integrate the motors over a step.
 
         Args:
-            position, velocity: of the link.
-            drive: effort of the drive.
             is_free: where the drive is within its limits.
             servo_damping: damping gain of the drive.
             friction_level: largest dry friction on the motor.

@@ -40,7 +40,6 @@ class Segment:
     clock.
 
     Attributes:
-        trial: index of the trial.
         model: the model with the trial's controller and payload.
         mode: command mode: ``position``, ``velocity`` or ``effort``; if joints have different ones,
             the first present of effort, velocity, position.

@@ -93,7 +93,6 @@ class _Table(Effect):
         """SI parameters of a (KNOTS,) table.
 
         Args:
-            variable: argument of the table.
             ends: first and last knot, in the unit of the variable.
             valid: range in which the table is known, in the same unit.
             table: (KNOTS,) values at the knots, N*m or N.

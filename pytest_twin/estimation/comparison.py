@@ -124,7 +124,6 @@ class Comparison:
         """Log-likelihood of (signals,) mean squared residuals; minus infinity if not finite.
 
         Args:
-            mean_square: mean squared residuals.
             floors: noise floors below which residuals count as equal.
         """
         if not np.isfinite(mean_square).all():

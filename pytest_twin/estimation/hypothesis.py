@@ -20,7 +20,6 @@ class Term:
     """One effect at one joint.
 
     Attributes:
-        effect: id of the effect.
         joint: column of the joint; -1 for an effect of the whole robot.
     """
 
@@ -79,7 +78,6 @@ class Hypothesis:
     """A set of terms with one parameter vector.
 
     Attributes:
-        terms: effects and their joints.
         theta: (parameters,) parameters of all terms in order, in multiples of their scales.
     """
 

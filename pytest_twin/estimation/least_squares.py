@@ -73,7 +73,6 @@ def fit(
     """Levenberg-Marquardt on all ``starts`` at once (Nocedal, Wright 2006, sec. 10.3).
 
     Args:
-        problem: the problem.
         starts: hypotheses with starting values.
         weights: (signals,) reciprocal standard deviations.
         segments: indices of the segments that are fitted.
@@ -222,7 +221,6 @@ def propose_steps(
     """Candidates of one fit step: a damped step for each damping, and the distant steps.
 
     Args:
-        h: the hypothesis.
         residual: (samples, signals).
         jacobian: (samples, signals, parameters).
         weights: (signals,) reciprocal standard deviations.

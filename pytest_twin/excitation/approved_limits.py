@@ -22,7 +22,6 @@ class JointLimits:
     """Approved limits of one joint, in the model's sign and zero.
 
     Attributes:
-        name: name of the joint.
         lower, upper: position limits, rad or m.
         velocity, acceleration: largest values, rad/s and rad/s^2, or m/s and m/s^2.
         effort: largest effort, N*m or N.
@@ -104,12 +103,10 @@ class ApprovedLimits:
 
     Attributes:
         approved_by: person who approved the limits.
-        mechanisms: mechanisms to identify.
         duration: longest time of one trajectory, s.
         rate: rate of commands, Hz.
         band: lowest and highest frequency of the task's motion, Hz.
         margin: share of each limit that motions do not use.
-        joints: moving joints.
         workspace: boxes for frames.
         clearance: smallest distances; None if a person approved motion without this check.
         power: continuous power of the supply, W.

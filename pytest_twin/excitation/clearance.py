@@ -28,7 +28,6 @@ class NearestPair:
         pair: two bodies or geoms.
         distance: distance, m, negative for an overlap.
         required: smallest permitted distance, m.
-        at: index of the pose.
     """
 
     pair: tuple[str, str]
@@ -53,7 +52,6 @@ class ClearanceChecker:
     """Checks of clearances and workspace boxes.
 
     Args:
-        realization: the robot.
         approved: smallest distances, boxes, moving joints; other joints are at the reference.
     """
 

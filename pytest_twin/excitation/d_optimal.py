@@ -76,7 +76,6 @@ class Design:
     Args:
         approved: limits with their margins.
         regressor: regressor of the approved joints.
-        base: parameters to identify.
         std: (joints,) standard deviation of the effort's noise, N*m or N.
         spare: function of a pose (j,) and an upper bound: spare distance, m.
     """

@@ -26,7 +26,6 @@ def single_joint_designs(
     """Return designs of steps, chirps and reversals of each joint.
 
     Args:
-        approved: limits.
         loads: for each joint, poses (j,) with different loads on it.
         seed: seed of all random choices.
     """
@@ -69,7 +68,6 @@ def several_joint_designs(
 
     Args:
         std: (joints,) standard deviation of the effort's noise, N*m or N.
-        payloads: ids of payloads.
         optimal: design of the series; None if not requested.
         seed: seed of all random choices.
     """

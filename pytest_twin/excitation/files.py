@@ -34,7 +34,6 @@ def write(
 
     Args:
         path: path without suffix.
-        motion: the motion.
         joints: names of the columns.
         slope: (j,) derivative of the reading by the model's position, for velocities and
             accelerations.

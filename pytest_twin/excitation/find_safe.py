@@ -29,7 +29,6 @@ class SafeMotion:
     """A motion within all limits.
 
     Attributes:
-        motion: the commands.
         verdict: all limits with their worst values, for commands and simulations.
         response: response of the nominal model.
     """
@@ -44,7 +43,6 @@ class RejectedDesign:
     """A design without a safe motion.
 
     Attributes:
-        design: the design.
         attempts: number of motions that were tested.
         why: limits that the last attempt exceeded.
     """
@@ -59,7 +57,6 @@ class Robot:
 
     Args:
         realization: the model, with the payload.
-        approved: limits.
     """
 
     def __init__(self, realization: Realization, approved: ApprovedLimits) -> None:

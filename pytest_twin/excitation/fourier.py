@@ -51,7 +51,6 @@ def period_and_frequencies(approved: ApprovedLimits, travel: float) -> tuple[flo
     """Return the period [s] and the harmonics [Hz] of a series within the task's band.
 
     Args:
-        approved: limits.
         travel: time from the start to the centre and back, s.
     """
     low, high = approved.band

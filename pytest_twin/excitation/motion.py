@@ -21,7 +21,6 @@ class Motion:
     """Commands of the approved joints over time, in the model's sign and zero.
 
     Attributes:
-        name: name of its files.
         mechanisms: mechanisms that it identifies.
         kind: ``steps``, ``chirp``, ``reversals``, ``grid`` or ``fourier``.
         role: ``fit`` or ``held_out``.
@@ -168,7 +167,6 @@ class Path:
         """Append motion of one joint at successive constant speeds, ending at rest.
 
         Args:
-            joint: index of the joint.
             speeds: (speed in rad/s or m/s, time in s at this speed including half of both blends).
         """
         knots = [(0.0, 0.0)]

@@ -42,10 +42,8 @@ class PredictedAccuracy:
     """Predicted accuracy of one parameter.
 
     Attributes:
-        mechanism: mechanism of the parameter.
         name: name, ``JOINT.KIND``.
         expression: expression in the symbols of the literature, or the name.
-        words: description.
         unit: unit of value and deviation.
         nominal: the model's value, or None.
         std: predicted standard deviation; infinite if the motion does not determine it.
@@ -93,12 +91,8 @@ def of_base(
     """Predict base parameters from the full regressor along motions.
 
     Args:
-        mechanism: mechanism of the parameters.
-        base: the base parameters.
         regressor: regressor of the approved joints.
         matrix: (n, joints, p) regressor at each measured instant.
-        approved: limits.
-        noise: measurement noise.
     """
     own = base.matrix(matrix)
     predicted = predicted_covariance(own, noise.effort)
@@ -285,12 +279,8 @@ def closed_loop(
     """Predict the gains of one joint's servo, fitted together with its delay.
 
     Args:
-        motion: the commanded motion.
         response: response of the nominal model.
         gains: result of :meth:`ClosedLoop.servo_derivatives`.
-        joint: index of the joint.
-        approved: limits.
-        noise: measurement noise.
     """
     limits = approved.joints[joint]
     if not gains:
@@ -322,11 +312,8 @@ def payload(
     A parameter without influence on the effort at any pose is omitted.
 
     Args:
-        motion: the static grid.
         carrier: joint that moves the link with the payload.
         regressor: regressor of the approved joints.
-        approved: limits.
-        noise: measurement noise.
     """
     places = [
         at

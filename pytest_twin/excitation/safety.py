@@ -24,7 +24,6 @@ class LimitCheck:
     Attributes:
         what: description of the limit, ``velocity of elbow, commanded``.
         value: the worst value along the motion.
-        limit: the limit.
         unit: unit of both.
         share: used share of the limit; above 1 the limit is exceeded.
     """

@@ -30,7 +30,6 @@ class Region:
     """Messages that share one block of bytes.
 
     Attributes:
-        data: the block.
         place: position of the block in the file, for messages to people.
         channel, log_time, start, size: (n,) per message; ``log_time`` in ns, ``start`` and
             ``size`` of its payload in ``data`` in bytes.

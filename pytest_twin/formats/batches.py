@@ -17,7 +17,6 @@ def table_of(
     """Return one quantity as (n, j); NaN where a message lacks a joint, None if all are empty.
 
     Args:
-        batches: batches of one topic.
         name: the quantity, such as ``position``.
         names: joint of each column.
         order: (n,) permutation from the order of the batches to the order of the file.

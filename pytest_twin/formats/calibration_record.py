@@ -47,8 +47,6 @@ class CalibrationRecord:
     """Content of one ``calibration.json`` that a twin uses.
 
     Attributes:
-        id: name of the calibration.
-        path: the file.
         sha256: SHA-256 of the file, hex.
         verdict: ``accepted``, ``rejected`` or ``degenerate``.
         joint_zeros: joint -> offset added to its reading, rad or m. It is the encoder's home

@@ -75,7 +75,6 @@ def decompressed_file(stream: BinaryIO, path: Path) -> Iterator[BinaryIO]:
     """Decompress a Zstandard file into a temporary file, which is deleted after the block.
 
     Args:
-        stream: the compressed file.
         path: its name, used in errors.
 
     Raises:

@@ -17,7 +17,6 @@ class Expansion:
     """A xacro file and the URDF that came out of it.
 
     Attributes:
-        source: the xacro file.
         urdf: file with the text of the URDF; its relative paths start at the folder of ``source``.
         read: the xacro file and everything that it includes or loads.
         arguments: name -> value, as given to xacro.

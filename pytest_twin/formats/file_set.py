@@ -66,7 +66,6 @@ def begin(staging: Path, pending: Path, change_set: ChangeSet) -> None:
     Args:
         staging: folder on the file system of the files; its subfolder ``new`` has the new files.
         pending: path of the pending folder, which must not exist.
-        change_set: the changes.
 
     Raises:
         PathError: the disk cannot be written, or another change is pending.

@@ -46,8 +46,6 @@ class IdentificationRecord:
     """Content of one ``identification.json`` that a twin uses.
 
     Attributes:
-        id: name of the identification.
-        path: the file.
         sha256: SHA-256 of the file, hex.
         verdict: ``accepted``, ``improved`` or ``rejected``.
         fit: model attributes that the identification replaces.
@@ -64,7 +62,6 @@ class IdentificationRecord:
         position_rms: joint -> root mean square error of its simulated position on held-out
             recordings, rad or m.
         without_effort: joints with measured motion but without measured effort.
-        sensors: calibrated sensors.
         encoder_steps: joint -> quantization step of its encoder, rad or m.
         encoders: joint -> calibration of its encoder, before and after.
         drive_gains: joint -> recorded current per N*m (N); the parameters belong to the current

@@ -62,7 +62,6 @@ def encode_cdr(
     """Encode one JointState as little-endian CDR with an empty ``frame_id``.
 
     Args:
-        names: joints.
         stamp: ``header.stamp`` in ns.
         values: quantity -> one value per joint (SI units), or None for an empty sequence.
         name_bytes: cache of encoded names, which this function fills.

@@ -91,7 +91,6 @@ def write_recording(
     data give the same bytes (with the same versions of ``mcap`` and ``zstandard``).
 
     Args:
-        path: the file.
         series: one series per topic.
         metadata: content of the metadata record ``trial``.
 

@@ -23,7 +23,6 @@ class ObservationTable:
     """Cells of an observation file.
 
     Attributes:
-        path: the file.
         header: heading of each column.
         lines: 1-based line of each row.
         cells: heading -> the text of each row, without surrounding space.

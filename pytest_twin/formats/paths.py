@@ -203,7 +203,6 @@ def open_regular(path: Path, *, links: bool = True, pointers: bool = False) -> B
     """Open a regular file for reading.
 
     Args:
-        path: the file.
         links: whether it may be a link that :func:`follow` allows.
         pointers: whether it may be a pointer of Git LFS, whose content is elsewhere.
 
@@ -249,7 +248,6 @@ def read_bytes(path: Path, max_bytes: int, *, links: bool = True) -> bytes:
     """Return the content of a regular file of at most ``max_bytes``.
 
     Args:
-        path: the file.
         max_bytes: largest size.
         links: as for :func:`open_regular`.
 

@@ -29,7 +29,6 @@ class PoseTrack:
 
     Attributes:
         name: name of the toss in its file.
-        path: the file.
         time: (n,) time since the first sample, s; sample numbers if ``has_times`` is False.
         position: (n, 3) of the object's frame in the world, m, or the file's unit of length.
         quaternion: (n, 4) w x y z, object to world.

@@ -26,7 +26,6 @@ class JointSeries:
     """Joint values of one topic over time, in the order of the file.
 
     Attributes:
-        topic: the topic.
         names: joints, in the order in which messages first name them.
         stamp: (n,) ``header.stamp``, ns, on the sender's clock. If no message has a stamp it
             equals ``log_time``, and the recording's damage has a note.
@@ -84,7 +83,6 @@ class Topic:
     """One topic of a recording, whether it was read or not.
 
     Attributes:
-        name: the topic.
         type: message type, such as ``sensor_msgs/msg/JointState``; empty if none is stated.
         messages: number of messages.
         roles: roles that it can have: ``state``, ``command``, both or none.

@@ -17,7 +17,6 @@ class ResultRecord:
 
     Attributes:
         id: folder and name of the file.
-        path: the file.
         basis: field ``basis`` as written: content of the inputs that it used; None in a result of
             an earlier version.
         inputs: empty: such results have no digests beside their basis.

@@ -60,7 +60,6 @@ class Layout:
     """Byte positions of the fields of a message, and the bytes that determine them.
 
     Attributes:
-        names: joints.
         order: byte order, ``<`` (little-endian) or ``>`` (big-endian).
         stamp_at: byte of ``header.stamp``, None where the type has no header.
         values_at: quantity -> byte of each joint's value, -1 for a joint without a value; empty

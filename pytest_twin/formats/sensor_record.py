@@ -21,9 +21,7 @@ class SensorFields:
     """Parameters with which a simulation computes the readings of one sensor.
 
     Attributes:
-        name: name of the sensor.
         kind: ``force_torque``, ``imu``, ``joint_torque`` or ``camera``.
-        topic: topic of its readings.
         frame: site or body in whose axes it measures; for a joint torque sensor its joint.
         matrix, bias: calibration matrix and bias of each block of channels.
         time_constant: time constant of the low-pass filter, s.

@@ -24,7 +24,6 @@ class Stream:
     """A scalar signal with the sender's stamps.
 
     Attributes:
-        topic: topic of the signal.
         time: (n,) time since the first stamp of all streams that were read together, s, ascending.
         values: (n,) angular speed in rad/s, force in N, or the joint quantity in its own unit.
     """

@@ -48,7 +48,6 @@ class TopicReader:
     """Collects one topic's messages for one role.
 
     Attributes:
-        topic: the topic.
         role: ``state`` or ``command``: some types contain both.
         path: the file that errors name.
         notes: receives lost or doubtful messages.
@@ -79,8 +78,6 @@ class TopicReader:
         Args:
             region: block that contains the messages.
             rows: indices of the messages in the region.
-            channel: channel of the messages.
-            schema: name of their type.
 
         Raises:
             RecordingError: the type or encoding is not supported.

@@ -30,7 +30,6 @@ def read_trace(path: Path, sha256: str | None = None) -> Trace:
     """Read a CSV trace: a header such as ``time [s],position:elbow [rad]``, then numbers.
 
     Args:
-        path: the file.
         sha256: SHA-256 of the file according to the spec, hex.
 
     Raises:

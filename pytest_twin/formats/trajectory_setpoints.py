@@ -132,7 +132,6 @@ class _Segment:
         coefficients: (6, c) of powers of the time since ``begin``, s.
         first, last: (c,) values at both ends.
         final: position, velocity and acceleration (j,) from ``end`` on, while nothing follows.
-        message: index of the message.
     """
 
     begin: int

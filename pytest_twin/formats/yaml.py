@@ -68,7 +68,6 @@ class Document:
         data: dict, list, str, int, float, bool and None; dict keys are str.
         lines: dotted field -> 1-based line (``tolerance.position``, ``parts.0.id``); ``""`` is
             the document itself.
-        path: the file.
     """
 
     data: Any

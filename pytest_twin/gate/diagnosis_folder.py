@@ -45,7 +45,6 @@ def write_diagnosis(  # noqa: PLR0913
         folder: an empty folder.
         realization: the nominal model, with the effects next to it if an earlier diagnosis wrote
             it.
-        trials: the recordings.
         model: name of the model in the report.
         threads: number of threads of the simulations, 0 for all cores.
         progress: called with the fraction that is done, 0 to 1.

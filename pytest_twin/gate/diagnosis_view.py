@@ -26,7 +26,6 @@ def view_of(
     """Return the content of the report.
 
     Args:
-        found: the diagnosis.
         document: its ``diagnosis.json``.
         patched: the patched model that was written.
         model: name of the diagnosed model.

@@ -35,7 +35,6 @@ def code_sha256(distribution: metadata.Distribution, modules: Iterable[str]) -> 
     """SHA-256 of the code of a distribution, hex.
 
     Args:
-        distribution: the distribution.
         modules: names of its modules, for one that does not record the digests of its files.
     """
     record = distribution.read_text("RECORD")

@@ -39,7 +39,6 @@ class RealizationDiagnosis:
     """Result of the diagnosis of one realization.
 
     Attributes:
-        realization: its name.
         goldens: keys of the failed goldens.
         report: path of the report, None where the diagnosis was not possible.
         lines: lines for the terminal, the verdict first; or the reason for no diagnosis.

@@ -21,8 +21,6 @@ def digests(twin: Twin, goldens: Iterable[Golden], files: Mapping[Path, str]) ->
     ``twin.yaml`` and its files, so that a changed comment does not change them.
 
     Args:
-        twin: the twin.
-        goldens: its goldens.
         files: file -> SHA-256, for all files that the release depends on.
     """
     validation = {golden.path for golden in goldens}

@@ -54,8 +54,6 @@ def collect_dependencies(
     """Collect parts, dependencies and file digests of a twin and its goldens.
 
     Args:
-        twin: the twin.
-        goldens: its goldens.
         child: process that reads the models that are not in the cache.
         fresh: whether to read all models without the cache, for a release.
     """
@@ -139,7 +137,6 @@ def states_of_records(
     """Compare the inputs of each record of a twin with the present ones.
 
     Args:
-        twin: the twin.
         child: process that reads the models that are not in the cache.
         fresh: whether to read all models without the cache, for a release.
 

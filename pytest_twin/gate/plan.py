@@ -27,8 +27,6 @@ class Task:
     """One golden on one realization.
 
     Attributes:
-        golden: the golden.
-        realization: name of the realization.
         parts: ids of the parts that its result depends on now, sorted.
         reasons: why it is stale; empty where the result in the last release is still valid.
         proof: its result in the last release, or None.
@@ -124,7 +122,6 @@ def missing_and_dropped(
     """Find the goldens of a release that no longer exist.
 
     Args:
-        known: the release.
         tasks: present goldens, by key.
         retired: id of a golden that was removed on purpose -> reason.
         broken: ids of goldens whose spec is not valid; they are not missing.

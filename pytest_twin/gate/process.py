@@ -89,7 +89,6 @@ def released_files(root: Path, parts: Mapping[str, Part]) -> GateProcess:
 
     Args:
         root: the twin's folder.
-        parts: parts of the release.
     """
     now: dict[str, Part] = {}
     files: dict[Path, str] = {}

@@ -72,7 +72,6 @@ def finish(
     Args:
         gate: after its goldens ran.
         session: facts of the pytest session.
-        policy: options of the user.
         diagnosed: diagnoses of failed goldens, for the report.
     """
     plan = gate.plan()

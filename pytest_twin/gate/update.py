@@ -42,7 +42,6 @@ class Update:
     """Changes by the recording of a golden.
 
     Attributes:
-        golden: its id.
         first: whether this is its first recording.
         changes: recorded values that differ, in SI units.
         moved: deviations of the observation from the previous record.
@@ -98,9 +97,7 @@ def record(
 
     Args:
         twin: the twin that the golden belongs to.
-        golden: the golden.
         parts: the parts that its result depends on.
-        runner: runs the golden.
         recorded_by: person or service that is responsible; by default the current user.
         progress: called with the fraction that is done, 0 to 1.
 

@@ -58,7 +58,6 @@ class Facts:
     Attributes:
         criticality: key of each spec on disk -> ``critical`` or ``advisory``.
         proven: outcomes of the baseline release that are still valid.
-        outcomes: outcomes of this run.
         repeated: keys of ``outcomes`` that failed in the baseline and failed again.
         unproven: ids of goldens that were never recorded.
         orphans: traces that no spec refers to.
@@ -69,7 +68,6 @@ class Facts:
         chain_changes: steps from the supplier's files to the models that differ from the baseline,
             one line each.
         baseline: number of the baseline release, or None.
-        session: facts of the session.
     """
 
     criticality: Mapping[str, str]

@@ -92,7 +92,6 @@ def diagnose(
 
     Args:
         twin: path of ``twin.yaml``.
-        realization: its name there.
         failed: recordings to explain: path, and the episode of a data set or None.
         others: further recordings; those with the same command mode are used.
         out: an empty folder.

@@ -51,13 +51,11 @@ class ClosedLoop:
     """The fitted model under recorded commands.
 
     Attributes:
-        folder: folder of the model.
         fit: family -> element -> attribute -> value, with servo gains if they are kept.
         positions: joint -> errors of its simulated position.
         stage: the stage ``closed_loop``.
         parameters: parameters of the stage for the record.
         drives: effects of drives, if they are kept.
-        notes: messages.
     """
 
     folder: Path
@@ -88,9 +86,7 @@ def close_loop(
     It has servo gains from effort and tracking error, or effects of drives, or neither.
 
     Args:
-        nominal: the nominal model.
         fit: changes of bodies and joints.
-        encoders: changes of encoders.
         gains: gains of position servos from measured effort.
         recordings: recordings to which the effects of drives are fitted; None for no effects.
         trials: result of :func:`trials_of`.
@@ -245,7 +241,6 @@ def trials_of(
     """Return the trials of recordings, or the error if they have no commands to simulate.
 
     Args:
-        nominal: the nominal model.
         recordings: held-out recordings, or the fitted ones if nothing is held out.
         topics, options: settings for reading the recordings.
     """
@@ -266,7 +261,6 @@ def compare_simulations(
     """Return joint -> position error of both models, and the stage ``closed_loop``.
 
     Args:
-        nominal, fitted: the two models.
         trials: result of :func:`trials_of`.
     """
     try:

@@ -26,7 +26,6 @@ def patches_of(realization: Realization, result: EffortResult) -> Patches:
     """Return ``joint`` and ``body`` -> name -> attribute -> value, where they change.
 
     Args:
-        realization: the nominal model.
         result: identification; its physically consistent parameters are written. Those of rejected
             stages have their nominal values.
     """

@@ -62,11 +62,9 @@ class IdentificationRequest:
 
     Attributes:
         model: path of an MJCF, URDF or ``twin.yaml``.
-        recordings, held_out: files and folders.
         out: empty folder, in which ``realization/`` is written.
         folder: folder that the record will be in; ``out`` if empty.
         seconds: limit of the processor time, s; 0 for none.
-        name: id of the record.
         topics: role of a topic -> topic; these take precedence over those of the twin.
         options: settings for reading recordings; they take precedence over the twin's.
         tosses: fields of ``TossOptions``, for recordings of a free object.
@@ -282,7 +280,6 @@ class _Inputs:
     Attributes:
         realization: the model as identified.
         given: path of the MODEL that the user named.
-        name: id of the record.
         folder: folder that the record will be in.
         recordings: all recordings.
     """

@@ -42,7 +42,6 @@ class KnownEfforts:
     """Efforts of a model along a motion, beside those of its regressor.
 
     Attributes:
-        realization: the given model.
         joints: joints of the recording, in the order of all columns.
         effects: effects beside the MJCF that the fit takes as given.
         cold_fractions: temperature in the metadata -> cold fraction.
@@ -87,7 +86,6 @@ class KnownEfforts:
             time: (n,) equidistant times since the start of the recording, s.
             motion: (n, joints) positions and velocities.
             delivered: (n, joints) efforts of the drives; NaN where they are unknown.
-            recording: the recording.
 
         Raises:
             RecordingError: friction depends on the temperature, and the metadata have none.

@@ -74,7 +74,6 @@ class MeasuredRecording:
     """One recording without gaps, on the joint side of the gears.
 
     Attributes:
-        path: path of the recording.
         start: time from the recording's first state, s.
         joints: names in the model.
         time: (n,) s, increasing.
@@ -84,8 +83,6 @@ class MeasuredRecording:
             sensor.
         unscaled: (joints,) True if the effort is a current with unknown torque constant.
         limit: (joints,) effort at which the drive saturates, else infinity.
-        metadata: metadata of the recording.
-        notes: messages on the conversion.
         command: (n, joints) position commands that hold at the states, of the encoders, rad or m;
             NaN where there is none; None without any.
         known: efforts of the given model along the motion, beside those of its regressor; None
@@ -122,7 +119,6 @@ class MeasuredRecordings:
     Attributes:
         fit: recordings for fitting.
         held_out: recordings for testing only.
-        notes: messages.
     """
 
     fit: tuple[MeasuredRecording, ...]
@@ -365,7 +361,6 @@ def velocity_notes(
     compared with the position, because noise hardly changes it.
 
     Args:
-        names: names of the joints.
         time: (n,) s.
         position, velocity: (n, joints) rad and rad/s, or m and m/s; velocity None without any.
     """

@@ -37,7 +37,6 @@ def undetermined_by_command(stage: StageName, place: str, effect: str) -> dict[s
     Args:
         stage: stage that fits it.
         place: joint, or ``robot``.
-        effect: id of the effect.
     """
     joint = "each joint" if place == "robot" else place
     motion, mechanism = _OF_COMMANDS[stage]

@@ -41,7 +41,6 @@ class EffortRecord:
     Attributes:
         values: parameter -> value.
         drive_gains: joint -> recorded current per torque.
-        filter: filter of the motion.
         rest: (joints,) speeds below which a joint is at rest; None for those of the recordings.
     """
 
@@ -91,7 +90,6 @@ def effort_errors(
     The motion is filtered as in the identification. Known payloads are included.
 
     Args:
-        realization: the model.
         recordings: recordings with efforts.
         record: the identification; its values are used as far as the model cannot contain them.
         topics, options: settings for reading the recordings.

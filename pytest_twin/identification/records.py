@@ -38,7 +38,6 @@ def verdict_of(stages: Sequence[Stage], better: bool, held_out: bool, consistent
     """Return the verdict on an identification.
 
     Args:
-        stages: the stages.
         better: whether the test error is below the nominal model's.
         held_out: whether it was tested on held-out recordings.
         consistent: whether the parameters are physically consistent.
@@ -83,7 +82,6 @@ def effort_document(
     """Return the content of ``identification.json`` for an identification from measured effort.
 
     Args:
-        result: identification.
         stages: stages of the result and further ones.
         written: joint -> error of the written model.
     """

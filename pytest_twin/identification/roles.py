@@ -39,7 +39,6 @@ def read_by_role(
 
     Args:
         recordings, held_out: files and folders; the latter need not be among the former.
-        realization: the model.
         topics: role of a topic (``state``, ``command``) -> topic.
         options: settings for reading recordings.
         signals: meaning of the recorded signals.

@@ -49,8 +49,6 @@ class Stage:
     """One stage.
 
     Attributes:
-        name: name of the stage.
-        state: result of the stage.
         why: reason of the state, one sentence.
         parameters: names of the fitted parameters.
         held_out: held-out errors, if it was tested.

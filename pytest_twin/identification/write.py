@@ -40,7 +40,6 @@ def write_fitted(
 
     Args:
         folder: a new, empty folder.
-        realization: the nominal model.
         patches: family -> element -> attribute -> value.
         encoders: joint -> its calibration before and after.
 
@@ -85,7 +84,6 @@ def add_effects(folder: Path, joints: tuple[str, ...], new: Sequence[AppliedEffe
 
     Args:
         folder: folder of the fitted model.
-        joints: joints of the identification.
         new: effects. One of a reading that the model already has is applied after it.
     """
     if not new:

@@ -21,10 +21,8 @@ class JointFrequency:
     """The response of one joint in one recording.
 
     Attributes:
-        joint: its name.
         input: ``command`` or ``effort``; the response is the position.
         unit: unit of the magnitude.
-        recording: name of the file.
         measured: measured response, on the lines with sufficient excitation and coherence.
         predicted: response of a model's prediction, or None.
     """
@@ -91,8 +89,6 @@ def effort_response(
     None if the recording determines fewer than three lines.
 
     Args:
-        joint: name of the joint.
-        recording: name of the file.
         time: (n,) s.
         effort, position: (n,) signals, N*m and rad, or N and m; NaN where unknown.
     """

@@ -14,9 +14,7 @@ class Residual:
     """Statistics of a series ``predicted - measured``, in its unit.
 
     Attributes:
-        rms: root mean square.
         maximum: largest absolute value.
-        mean: signed mean.
         maximum_at: index of the sample with the largest absolute value.
     """
 

@@ -31,9 +31,7 @@ class Asset:
 
     Attributes:
         name: name in error messages.
-        forms: the realizations.
         left_out: realizations that are not available, with the reason.
-        tolerances: allowed differences.
     """
 
     def __init__(
@@ -133,8 +131,6 @@ def load_asset(
     - an MJCF: MuJoCo and Pinocchio.
 
     Args:
-        path: the file.
-        tolerances: allowed differences.
         usd: for a URDF: an existing stage; or whether to create one, if the extra ``usd`` is
             installed.
         packages: ROS package -> its folder.

@@ -23,7 +23,6 @@ class Property:
     """A property of realizations.
 
     Attributes:
-        name: its name.
         check: returns the violations of an asset, at a configuration if it ``needs_poses``.
         needs_poses: whether it is tested at random configurations, or once.
         compares: whether it needs two realizations.
@@ -43,7 +42,6 @@ class Property:
         """Test the property on an asset.
 
         Args:
-            asset: the asset.
             q: joint -> rad or m; the generic configuration if None.
 
         Raises:

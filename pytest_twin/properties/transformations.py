@@ -29,7 +29,6 @@ class _Imported:
     """A transformed robot, imported again.
 
     Attributes:
-        forms: its realizations.
         floating: its Pinocchio model with a floating base.
     """
 

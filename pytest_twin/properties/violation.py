@@ -16,10 +16,8 @@ class Broken:
 
     Attributes:
         element: element of the robot, ``joint 'elbow'``.
-        what: description of the violation.
         amount, tolerance: deviation and largest allowed deviation, in ``unit``.
         unit: SI unit.
-        forms: the realizations.
     """
 
     element: str
@@ -48,7 +46,6 @@ class PropertyError(AssertionError):
     """Failure of a property.
 
     Attributes:
-        property: its name.
         broken: all violations, the largest first.
     """
 

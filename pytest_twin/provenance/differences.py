@@ -55,7 +55,6 @@ class Version:
     """A version of a twin.
 
     Attributes:
-        twin: the twin.
         realization: its first realization.
         parts: part id -> part, of the realization and of ``twin.yaml``.
         frame: tool centre point: ``tcp:`` of ``twin.yaml``, or the last moving body.

@@ -59,7 +59,6 @@ def poses_of(recordings: Sequence[Recording], structure: Structure, twin: Twin) 
 
     Args:
         recordings: recordings of one data set.
-        structure: structure of the model.
         twin: twin with the mapping of joint names.
     """
     tables: list[FloatArray] = []

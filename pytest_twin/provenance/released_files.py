@@ -52,7 +52,6 @@ def copy_release(release: Release, folder: Path, root: Path, into: Path) -> Path
 
     Args:
         release: a verified release.
-        folder: folder of the release.
         root: present folder of the twin.
         into: an empty folder.
 

@@ -184,7 +184,6 @@ def write_bodies(models: Sequence[mujoco.MjModel], body: Body, x: FloatArray) ->
 
     Args:
         models: one model for each row, with equal inertia of this body before.
-        body: the body.
         x: (rows, 10) coordinates.
     """
     index = models[0].body(body.name).id

@@ -53,9 +53,7 @@ class PredictedRecording:
     """One recording with its simulated robots and envelope.
 
     Attributes:
-        traces: measured and simulated traces.
         robots: (robots, n, j) simulated encoder readings with noise.
-        envelope: envelope of the readings.
     """
 
     traces: Traces
@@ -69,10 +67,8 @@ def predict_envelopes(
     """Return the envelopes of recordings, including encoder noise.
 
     Args:
-        traces: measured and simulated traces.
         noise: joint -> standard deviation of a reading, rad or m.
         share: fraction of the samples that should lie in the envelope.
-        seed: seed of the noise.
     """
     random = np.random.default_rng(seed)
     found = []

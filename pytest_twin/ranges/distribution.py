@@ -49,7 +49,6 @@ class UpperLimit:
 
     Attributes:
         name: name of the other coordinate.
-        factor: dimensionless.
         rest: in the coordinate's unit.
     """
 
@@ -80,7 +79,6 @@ class Coordinate:
         is_condition: whether it is a condition of the trials, such as their temperature, without
             direct effect on the motion.
         at_most: limit by another coordinate of the same robot, or None.
-        sources: sources of its variance.
     """
 
     name: str

@@ -33,10 +33,8 @@ class UncertainParameters:
 
     Attributes:
         distribution: joint distribution of all coordinates.
-        bodies: bodies whose inertia varies.
         records: kind, id and file of the source records.
         left_out: parameters of records that are not varied, with the reason.
-        notes: messages on assumptions.
     """
 
     distribution: Distribution

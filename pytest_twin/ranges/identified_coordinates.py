@@ -40,10 +40,8 @@ class RecordCoordinates:
     """Uncertain coordinates of one record.
 
     Attributes:
-        name: name of the record.
         coordinates: (p,) coordinates; their field ``std`` is 0, the covariance has the variances.
         covariance: (p, p) covariance.
-        bodies: bodies whose inertia varies.
         left_out: parameters that are not varied, with the reason.
     """
 

@@ -77,7 +77,6 @@ def quantities(distribution: Distribution, bodies: Sequence[Body], share: float)
 
     Args:
         distribution: distribution of the coordinates.
-        bodies: bodies whose inertia varies.
         share: fraction of the robots that a range contains.
     """
     draws = distribution.draws(_DRAWS, _SEED)

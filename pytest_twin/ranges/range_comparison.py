@@ -36,7 +36,6 @@ def compare(
         path: path of the file with the given ranges.
         terms: randomization terms of the file.
         skipped: parts of the file that are not compared.
-        measured: quantities of the twin.
         groups: trials under different conditions, whose estimates should lie in a range.
         share: probability of the central interval that represents a normal distribution.
 

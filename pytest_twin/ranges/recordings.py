@@ -58,7 +58,6 @@ def read_check_recordings(
 
     Args:
         twin: twin whose records name their source files.
-        realization: the model.
         final, held_out: recordings named by the user.
         options: settings for reading recordings.
         topics: role of a topic -> topic.
@@ -177,7 +176,6 @@ def _refuse_repeated(final: Sequence[Trial], used: Iterable[tuple[str, Trial]]) 
     """Refuse final recordings whose motion is in a recording that was used, under another name.
 
     Args:
-        final: final recordings.
         used: why a recording is used, and its trial.
     """
     for why, other in used:

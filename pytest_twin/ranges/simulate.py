@@ -58,7 +58,6 @@ class Traces:
     """Measured and simulated traces of one recording.
 
     Attributes:
-        trial: the recording.
         joints: (j,) names of the joints.
         time: (n,) s; evenly chosen from the recording's stamps if all do not fit in memory.
         measured: (n, j) measured positions, rad or m.
@@ -79,10 +78,8 @@ class VariedRobots:
     """Simulation of robots with different coordinates.
 
     Args:
-        realization: realization of the twin.
         patched: effects added by a diagnosis or an identification, if any.
         coordinates: (p,) coordinates in which robots differ.
-        bodies: bodies whose inertia varies.
         memory_bytes: memory for the traces of all robots.
     """
 

@@ -33,7 +33,6 @@ def spread_over_trials(
     Args:
         found: uncertain coordinates of the records.
         twin: twin with ``ranges: trials:``.
-        realization: the model.
         notes: list to which messages on assumptions are added.
     """
     groups = twin.ranges.trials

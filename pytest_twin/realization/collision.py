@@ -79,7 +79,6 @@ class Shapes:
 
         Args:
             data: state after ``mj_kinematics``.
-            first, second: indices of geoms.
 
         Raises:
             ModelError: a height field or signed distance field, for which MuJoCo cannot compute

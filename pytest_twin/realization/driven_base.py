@@ -67,7 +67,6 @@ def offset_of(
     """Position and quaternion of the base in a frame that is rigid with it; None if it is not.
 
     Args:
-        model: the model.
         joint: the free joint.
         frame: a body or a site.
     """

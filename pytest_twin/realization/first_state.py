@@ -110,7 +110,6 @@ def holding_controls(
 
     Args:
         model: the model with its servos.
-        data: contains positions.
         commanded: joints with recorded commands.
     """
     control = np.zeros(model.nu)

@@ -25,8 +25,6 @@ class FreeBody:
     """A body with a free joint.
 
     Attributes:
-        name: its name.
-        body: its index.
         qpos, dof: index of its pose in ``qpos`` and of its velocity in ``qvel``.
         geoms: indices of its geoms that can collide; of those in ``pairs`` if there are any.
         others: indices of all other geoms that can collide; likewise.
@@ -46,7 +44,6 @@ def free_body(realization: NamedModel, name: str | None = None) -> FreeBody:
     """Find the free body of a model.
 
     Args:
-        realization: the model.
         name: name of the body; needed where the model has several free bodies.
 
     Raises:

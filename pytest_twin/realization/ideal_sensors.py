@@ -42,7 +42,6 @@ def ideal_sensor_signals(
     this function has the opposite sign: it is the load on the sensor.
 
     Args:
-        realization: the model.
         frame: site or body.
         joints: j names; other joints stay at the model's reference.
         position, velocity, acceleration: (n, j) rad, rad/s, rad/s^2 (m, m/s, m/s^2 at a slide).
@@ -97,7 +96,6 @@ def load_at(
     link, so that a sensor on the link side of the gear does not measure them.
 
     Args:
-        realization: the model.
         joint: the joint with the sensor.
         joints: j names; other joints stay at the model's reference.
         position, velocity, acceleration: (n, j) rad, rad/s, rad/s^2 (m, m/s, m/s^2 at a slide).
@@ -133,7 +131,6 @@ def orientations_at(
     """(n, 3, 3) orientations of a site or body in the world.
 
     Args:
-        realization: the model.
         frame: site or body.
         joints: j names; other joints stay at the model's reference.
         position: (n, j) rad or m.

@@ -39,7 +39,6 @@ def compiled_inertia(model: mujoco.MjModel, body: int) -> tuple[float, NDArray[n
 
     Args:
         model: a compiled model.
-        body: id of the body.
     """
     axes = np.empty(9)
     mujoco.mju_quat2Mat(axes, model.body_iquat[body])
@@ -100,7 +99,6 @@ def write(body: mujoco.MjsBody, mass: float, com: NDArray[np.float64], inertia: 
     """Set mass, centre of mass and inertia of a body's spec.
 
     Args:
-        body: the body.
         mass: kg.
         com: (3,) centre of mass in the body's frame, m.
         inertia: (3, 3) about the centre of mass, body axes, kg*m^2.

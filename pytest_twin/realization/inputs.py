@@ -30,7 +30,6 @@ class CommandInput:
         control: index into ``ctrl``.
         scale: ``ctrl = scale * command``, the command in rad, rad/s or N*m of the joint (m, m/s
             or N where it slides).
-        actuator: index of the actuator.
     """
 
     mode: CommandMode
@@ -98,9 +97,7 @@ def steady_activation(
     states them.
 
     Args:
-        model: the model.
         data: contains positions, transmission lengths and controls.
-        actuator: index of the actuator.
     """
     address = int(model.actuator_actadr[actuator])
     if address < 0:

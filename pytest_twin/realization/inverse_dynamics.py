@@ -256,7 +256,6 @@ class LinkBody:
     """A body of the model that belongs to a link.
 
     Attributes:
-        name: its name.
         placement: pose of the body in the joint's frame.
         parameters: (10,) inertial parameters in the joint's frame, in Pinocchio's order.
     """

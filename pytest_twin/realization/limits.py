@@ -15,7 +15,6 @@ class ModelLimits:
             compiler refuses 1024 levels and crashes at some thousands.
         audited_link_depth: the same for an audit, which does not compile the model.
         include_files: number of files included by one model.
-        include_depth: depth of nested includes.
         nested_models: depth of nested attached models.
         asset_bytes: size of one mesh, texture, height field or skin file, bytes.
         total_asset_bytes: total size of these files, bytes.

@@ -44,7 +44,6 @@ def load(  # noqa: PLR0913
         path: the file; its root element determines the format.
         twin: the twin that it belongs to. Its fit and base pose are applied, except to a model that
             a diagnosis wrote, which contains them.
-        name: name of the realization.
         roots: folders that referenced files may be in; by default those of the twin, or the root
             of the model that :func:`pytest_twin.realization.files.locate` chooses.
         located: result of :func:`pytest_twin.realization.files.locate`, if it is known.
@@ -52,7 +51,6 @@ def load(  # noqa: PLR0913
             and add a note, instead of raising an error; ``source.inertia_repairs`` then has them.
         shapes: URDF: whether to load the collision shapes. Without them the mesh files are not
             needed, and motion without contact is the same.
-        limits: size limits.
         simulator: simulator that steps the model. ``newton`` needs a USD stage; fit, controllers
             and payloads then change an MJCF of the stage, and Newton gets its masses, joints and
             drives.

@@ -72,10 +72,8 @@ def read(
     """Read an MJCF file and all files that it refers to.
 
     Args:
-        path: the file.
         roots: folders that referenced files may be in.
         text: MJCF that replaces the content of a file of another format.
-        limits: size limits.
 
     Raises:
         FormatError: not well-formed, or larger than a limit.
@@ -159,8 +157,6 @@ def translate(error: Exception, path: Path, places: Sequence[tuple[Path, int]] |
     """Convert an error of MuJoCo to one with the file and line of the model.
 
     Args:
-        error: error of MuJoCo.
-        path: the model file.
         places: file and line of each line of the document that MuJoCo got; None where its line
             numbers are those of ``path``.
     """

@@ -24,8 +24,6 @@ def write(spec: mujoco.MjSpec, path: Path, meshes: Mapping[str, Path]) -> mujoco
     MuJoCo's own writer rounds to six digits; this function writes the full numbers of the spec.
 
     Args:
-        spec: the spec.
-        path: the file to write.
         meshes: mesh of the spec -> its file, next to ``path`` or below its folder. The vertices in
             the file are those of the spec, in m, so that no scale is written.
 
@@ -81,7 +79,6 @@ def with_exact_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
 
     Args:
         spec: a compiled spec.
-        model: the compiled model.
     """
     root = etree.fromstring(spec.to_xml().encode())
     for element in root.iter("body"):

@@ -19,10 +19,8 @@ class Node:
     """One XML element of a model.
 
     Attributes:
-        tag: its tag.
         attributes: attribute -> text.
         path, line: file and 1-based line.
-        children: child elements.
         text: text before the first child; only for a URDF.
     """
 
@@ -87,7 +85,6 @@ class Node:
         """Parse the numbers of an attribute; ``default`` where it is absent.
 
         Args:
-            attribute: its name.
             default: values where it is absent, None where it is required.
             size: required number of values; by default that of ``default``.
             unit: unit, for error messages.

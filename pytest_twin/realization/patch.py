@@ -34,7 +34,6 @@ def apply_fit(
         patches: ``joint``, ``actuator``, ``body``, ``geom`` or ``pair`` -> element -> attribute ->
             value.
         option: attribute of the simulation options -> value.
-        refuse: creates the error.
         where: dotted field of the fit, for errors.
 
     Raises:

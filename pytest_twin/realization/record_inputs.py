@@ -95,7 +95,6 @@ def basis_json(
         source: the model, from :func:`unfitted`; None if the estimation uses none.
         uses: parts that the estimation uses.
         twin: the twin with only the records that the estimation was given.
-        folder: folder of the record.
         files: name -> file of recordings and observations.
         has_twin: whether a ``twin.yaml`` was given, not the model alone.
     """
@@ -120,7 +119,6 @@ def result_basis(realization: Realization, section: str, folder: Path) -> dict[s
     Args:
         realization: the model with its twin.
         section: section of ``twin.yaml`` that states the task: ``ranges`` or ``budget``.
-        folder: folder of the result.
     """
     twin = realization.twin
     assert twin is not None

@@ -44,7 +44,6 @@ def add_inertia(model: pin.Model, joint: int, *changes: tuple[float, Vector]) ->
 
     Args:
         model: changed in place.
-        joint: index of the joint.
         changes: pairs of a factor (1 or -1) and the :func:`moments` of a body.
     """
     total = model.inertias[joint].toDynamicParameters()

@@ -105,7 +105,6 @@ class Sandbox:
 
         Args:
             function: ``module:function``.
-            arguments: JSON-able keyword arguments.
             seconds: time limit of this call, s; that of the sandbox by default.
             progress: called in this thread with each fraction that the function reports.
             tell: called in this thread with each message.

@@ -157,7 +157,6 @@ def geoms_of(model: mujoco.MjModel, name: str, in_scene: bool) -> frozenset[int]
     """Index of a named geom, or indices of a body's geoms that can collide.
 
     Args:
-        model: the model.
         name: name of a geom or body.
         in_scene: whether it is an element of the scene and not of the robot.
     """
@@ -328,9 +327,7 @@ def push(
     """Add a force on a body to the generalized forces of ``data``.
 
     Args:
-        model: the model.
         data: its ``qfrc_applied`` is changed.
-        body: index of the body.
         force: (3,) in the world, N.
         point: (3,) point of application in the world, m.
     """

@@ -313,9 +313,7 @@ def run(
     """Step ``data`` with the realization's simulator, under constant controls and forces.
 
     Args:
-        realization: the realization.
         model: :func:`prepare_model` of it.
-        data: initial state; changed.
         steps: number of steps.
         progress: called with the fraction that is done, 0 to 1.
 
@@ -365,8 +363,6 @@ def simulate(
     """Step ``data`` and record its states.
 
     Args:
-        model: the model.
-        data: initial state; changed.
         steps: number of steps.
         before: called with the time (s) before each step; may set controls and forces.
         after: called with k when ``data`` contains the contacts and forces of state k; its
@@ -457,7 +453,6 @@ def simulate_batch(
     """Simulate several command sequences from one initial state, as rows of one batch.
 
     Args:
-        model: the model.
         data: the initial state, with its controls.
         control: (m, n, nu) controls at each of n steps.
         applied: (m, n, nv) generalized forces at each of n steps, N*m or N; (m, n, 0) for none.

@@ -25,7 +25,6 @@ class TreeJoint:
     """One degree of freedom between a body and its parent.
 
     Attributes:
-        name: its name.
         kind: ``hinge`` (rad) or ``slide`` (m).
         axis: (3,) unit vector in the frame of the joint.
         anchor: (4, 4) pose of the joint's frame in the body, m.
@@ -52,7 +51,6 @@ class TreeBody:
     """A rigid body.
 
     Attributes:
-        name: its name.
         parent: name of the parent body, None for the root.
         placement: (4, 4) pose in the parent with the joint at zero, m.
         joint: joint to the parent; None for a fixed body, and for a free body, which stays at its

@@ -29,7 +29,6 @@ class Link:
     """A rigid body.
 
     Attributes:
-        name: its name.
         node: the ``link`` element.
         mass: kg.
         com: (3,) centre of mass in the link's frame, m.
@@ -60,10 +59,8 @@ class Joint:
     """Joint between a parent link and a child link.
 
     Attributes:
-        name: its name.
         node: the ``joint`` element.
         type: ``revolute``, ``continuous``, ``prismatic``, ``planar``, ``floating`` or ``fixed``.
-        parent, child: names of the links.
         position: (3,) position of the child's frame in the parent's, m.
         rotation: (3, 3) orientation of the child's frame in the parent's.
         axis: (3,) unit vector in the child's frame.

@@ -46,9 +46,7 @@ class Sensor:
     """A sensor on a link.
 
     Attributes:
-        name: its name, made unique.
         type: as written, such as ``imu``, ``ray``, ``force_torque``.
-        link: name of the link.
         pose: (4, 4) pose in the link, m.
         line: line in the file.
     """

@@ -55,7 +55,6 @@ class ConvertedSpec:
     """MuJoCo spec of a URDF.
 
     Attributes:
-        spec: the spec.
         notes: changes and omissions, one line each, with file and line.
         inertia_repairs: link -> inertia (ixx iyy izz ixy ixz iyz, kg*m^2) that replaces an
             inconsistent one.
@@ -84,13 +83,10 @@ def convert(
     """Convert a URDF to a MuJoCo spec.
 
     Args:
-        robot: the URDF.
-        files: finds the mesh files.
         accept_invalid_inertia: whether to repair inertias that are not physically consistent and
             add a note, instead of raising an error.
         inertia_patches: link -> ``mass`` [kg], ``com`` [m], ``inertia`` [kg*m^2] of a fit.
         shapes: whether to add collision shapes; without them no mesh file is read.
-        limits: size limits.
 
     Raises:
         ModelError: an inconsistent inertia, or an invalid shape.

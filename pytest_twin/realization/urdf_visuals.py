@@ -22,7 +22,6 @@ def add(spec: mujoco.MjSpec, robot: Robot, mesh_paths: dict[str, Path]) -> None:
 
     Args:
         spec: changed in place.
-        robot: the normalized URDF.
         mesh_paths: mesh of the spec -> its file; the meshes of visual shapes are added.
     """
     colours = {

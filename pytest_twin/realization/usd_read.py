@@ -25,7 +25,6 @@ class UsdJoint:
     """A joint of the stage.
 
     Attributes:
-        name: its name.
         kind: ``revolute``, ``prismatic``, ``fixed``, ``spherical``, ``distance`` or ``d6``.
         body0, body1: links, None for the world.
         limits: (lower, upper), rad or m; None where it is unlimited.

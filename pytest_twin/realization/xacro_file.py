@@ -53,7 +53,6 @@ def expand(
     """Expand a xacro file.
 
     Args:
-        source: the xacro file.
         arguments: name -> value of its ``xacro:arg``.
         environment: the user's variables that name folders of packages.
         variables: names of all variables of the user, whose values this process does not have.

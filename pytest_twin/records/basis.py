@@ -154,7 +154,6 @@ def input_parts(
     """Return the parts that an estimation uses: part id -> part.
 
     Args:
-        uses: what it uses.
         source: parts and structure of the model, before any record replaces its values; the
             record cannot hide a change of these values.
         twin: the twin with only the records that the estimation was given; None without a twin.

@@ -49,7 +49,6 @@ class InputChange:
     """One input of a record that differs from the time when the record was made.
 
     Attributes:
-        part: id of the input.
         digest: SHA-256 of its present content, hex.
         reasons: changed fields with old and new value.
         accepted: statement of the owner that this change does not touch the record, or None.
@@ -68,7 +67,6 @@ class RecordState:
     Attributes:
         kind: command that makes it.
         where: its place in ``twin.yaml``, such as ``fit.0``.
-        record: the record.
         uses: estimates that the twin uses of a calibration; empty for any other record.
         models: realizations whose model its command wrote.
         changes: inputs that changed.
@@ -461,7 +459,6 @@ def with_reasons_of_records(
 
     Args:
         reasons: changes of parts since the release.
-        states: states of the records.
         ids: parts that the golden depends on.
     """
     stale = [state for state in states if state.touching and state.part.id in ids]

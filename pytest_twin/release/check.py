@@ -56,7 +56,6 @@ def check(
     """Verify the release in a folder.
 
     Args:
-        release: the folder.
         keys: folder of trusted public keys; ``keys/`` of the twin if None.
         now: time for the verification; the present time if None.
         remember: whether to compare it with the releases accepted before on this machine, and to

@@ -51,7 +51,6 @@ def open_envelope(
 
     Args:
         data: bytes of the envelope.
-        keys: trusted public keys.
         limits: limits of size and number of signatures.
 
     Raises:

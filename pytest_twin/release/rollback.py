@@ -34,7 +34,6 @@ class Rollback:
     """A rollback that is planned or done.
 
     Attributes:
-        twin: name of the twin.
         number: number of the restored release.
         changes: files that differ from the release.
         copies: folder with the replaced files; None if no file was replaced.

@@ -74,10 +74,7 @@ def make(
     """Create the stamp of a release for data with the SHA-256 ``data``.
 
     Args:
-        release: the release.
-        envelope: its signed envelope.
         data: SHA-256 of the content, hex.
-        now: time of the stamp.
         variants: ``payload`` and ``controller`` of the data; left out if they are not known.
 
     Raises:
@@ -201,8 +198,6 @@ def judge(stamp: Stamp, keys: Sequence[Key], data: str, now: datetime) -> StampV
     with that release.
 
     Args:
-        stamp: the stamp.
-        keys: trusted public keys.
         data: SHA-256 of the present content, hex.
         now: present time, with time zone.
     """

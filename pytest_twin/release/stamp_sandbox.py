@@ -24,7 +24,6 @@ class ParsedInChild:
     """A file with a stamp that only the child process opens.
 
     Attributes:
-        path: the file.
         sandbox: the child process, shared by all files of a data set.
     """
 

@@ -28,7 +28,6 @@ class StampedFile:
     """A file that can contain a stamp.
 
     Attributes:
-        carrier: the file.
         stamp: its stamp, None if it has none or it cannot be read.
         problem: why the stamp cannot be read.
         undeclared: ``controller`` and ``payload`` that the file's own metadata name and the release

@@ -62,7 +62,6 @@ class Proof:
 
     Attributes:
         outcome: the result, with all measures and margins.
-        title: title of the golden.
         parts: ids of the parts that the result depends on.
         release: number of the release for which it ran; 0 in a draft.
         at: creation time of that release, RFC 3339, UTC; empty in a draft.
@@ -88,7 +87,6 @@ class Header:
     """Fields of a release that are known before its files.
 
     Attributes:
-        twin: name of the twin.
         series: 128 random bits, hex, which all releases of a twin share.
         number: counted from 1.
         previous: the previous release, None for the first.
@@ -110,7 +108,6 @@ class Draft:
     """Content of a release that is to be written.
 
     Attributes:
-        twin: name of the twin.
         valid_days: validity of the release, days.
         ids: IDs of asset, realizations, calibration, fit, controllers, payloads, firmware and
             other declared parts.

@@ -68,12 +68,7 @@ class Circumstances:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseProblem:
-    """A reason why a release is not valid.
-
-    Attributes:
-        code: category of the problem.
-        text: description, one line.
-    """
+    """A reason why a release is not valid."""
 
     code: Code
     text: str
@@ -150,9 +145,7 @@ def verify(
     Args:
         data: content of the envelope, None if it does not exist.
         listing: all entries of the folder, relative POSIX path -> entry.
-        keys: trusted public keys.
         now: present time, with time zone.
-        circumstances: facts outside the release.
         limits: limits of sizes and counts.
     """
     if data is None:

@@ -44,7 +44,6 @@ def write(
 
     Args:
         root: the twin's folder.
-        draft: content of the release.
         signer: signing key, from :func:`pytest_twin.release.signer`.
         report: returns the HTML report for the header of the release.
         now: time of the signature; the present time if None.

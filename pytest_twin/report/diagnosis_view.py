@@ -16,7 +16,6 @@ class Regime:
     Attributes:
         name: description with units.
         before, after: RMS error of the model and of the patched model, rad or m.
-        share: share of the time.
     """
 
     name: str
@@ -30,13 +29,11 @@ class JointView:
     """Data of one joint's figure.
 
     Attributes:
-        joint: name of the joint.
         unit: ``rad`` or ``m``.
         recording: recording that is drawn over time.
         time, measured, before, after: (n,) time [s], measured position, and predictions of model
             and patched model in this recording.
         command_time, command: (m,) time and position commands, or None.
-        floor: noise floor.
         left_before, left_after: (s,) residuals, measured minus predicted, in the test recordings.
         velocity, position, load: (s,) motion at these samples; rad/s or m/s, and N*m or N.
         stretches: number of samples of each test recording; they add up to s.

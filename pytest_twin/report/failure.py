@@ -45,7 +45,6 @@ def failure_text(
     Args:
         outcome: a golden that did not pass.
         location: the spec's file and line, ``golden/fk/home.yaml:12``.
-        plot: path of the plot.
         advice: text after the quick diagnosis, such as the command for the full one.
     """
     lines = [headline(outcome)]

@@ -43,7 +43,6 @@ class Report:
     """One run of the gate on one twin.
 
     Attributes:
-        twin: name of the twin.
         verdict: ``released``: signed now; ``holds``: nothing new to sign; ``refused``: not
             signed; ``passed`` and ``failed``: results of runs without a release.
         headline: one sentence below the verdict.

@@ -20,7 +20,6 @@ class Style:
     """Style sheets of a page, concatenated.
 
     Attributes:
-        text: the concatenated sheets.
         sha256: SHA-256 in base64, for the page's content security policy.
     """
 

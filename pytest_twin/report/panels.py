@@ -56,7 +56,6 @@ class Worst:
 
     Attributes:
         x: its position on the axis.
-        y: its present value.
         error, tolerance: error and tolerance, in the panel's unit.
         passed: whether the error is within tolerance.
     """
@@ -74,9 +73,7 @@ class Panel:
 
     Attributes:
         title, unit: name and unit of the quantity.
-        now: present series.
         then: series for comparison, or None.
-        against: name of this series.
         command: commanded series of the same unit, or None.
         worst: the worst sample, None without a tolerance for samples.
         bound: measure of this quantity with the largest used share of tolerance, such as an RMS.

@@ -9,11 +9,7 @@ _INTERVAL_SECONDS = 60.0
 
 
 class ProgressLog:
-    """Reports the fraction done and the remaining time once a minute.
-
-    Args:
-        work: description of the work.
-    """
+    """Reports the fraction done and the remaining time once a minute."""
 
     def __init__(self, work: str) -> None:
         self.work = work

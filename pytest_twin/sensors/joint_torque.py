@@ -19,7 +19,6 @@ class JointTorqueSensor:
 
     Attributes:
         bias: bias, N*m; N for a prismatic joint.
-        scale: scale factor, dimensionless.
         time_constant: time constant of the first-order low-pass, s; 0 for none.
         limit: largest magnitude of a reading, N*m or N; infinite for none.
     """

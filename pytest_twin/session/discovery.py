@@ -21,7 +21,6 @@ def twin_files(
 
     Args:
         arguments: files and folders from the command line.
-        config: configuration of pytest.
         include_above: whether to include a twin above an argument that contains none of its specs.
     """
     found: set[Path] = set()

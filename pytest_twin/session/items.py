@@ -59,10 +59,7 @@ class GoldenFile(pytest.File):
         """Create the collector of the spec at ``path``.
 
         Args:
-            parent: parent collector.
-            path: the spec.
             load: reads the spec and its twin.
-            run: runs an item.
         """
         file: GoldenFile = cls.from_parent(parent, path=path)
         file.load = load

@@ -36,9 +36,7 @@ def process_code(config: pytest.Config, root: Path, tests: Collection[Path]) -> 
     """Code and settings that this process has loaded, as far as they are not part of pytest.
 
     Args:
-        config: configuration of pytest.
         root: the twin's folder.
-        tests: collected test modules.
     """
     loaded = set(_local_modules(config, root))
     loaded.update(path for path in _plugin_modules(config) if not is_installed(path))

@@ -17,11 +17,8 @@ class TwinRelease:
     """The newest release of a twin, after verification.
 
     Attributes:
-        twin: name of the twin.
         number: number of the release.
         ids: the signed IDs of asset, calibration, fit, controller and payload.
-        root: folder of the twin.
-        folder: folder of the release.
     """
 
     twin: str

@@ -20,7 +20,6 @@ class RobotFiles:
     """Files of a robot at their original place.
 
     Attributes:
-        model: the model file.
         files: all files that were read, including the model.
         root: root folder of the model.
         packages: ROS package -> its folder.
@@ -42,7 +41,6 @@ class CopiedFiles:
     """Files of a robot in a twin's folder.
 
     Attributes:
-        model: the model file.
         files: all files.
         roots: roots that ``twin.yaml`` must declare: name -> folder.
         manifest: manifest of the asset in the twin's folder; None without one.

@@ -87,8 +87,6 @@ class FirstTwin:
     """Content of a first ``twin.yaml``.
 
     Attributes:
-        name: name of the twin.
-        model: the model file.
         source: the supplier's files.
         roots: name -> folder that may contain referenced files.
         tcp: frame of the tool, or None.

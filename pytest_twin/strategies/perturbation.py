@@ -46,7 +46,6 @@ class Perturbation:
         patches: changed values in the form of ``fit:`` in ``twin.yaml``: ``body`` and ``joint`` ->
             element -> attribute -> value in SI units.
         changes: the same as text, one line for each parameter.
-        source: the nominal asset.
     """
 
     patches: Patches

@@ -33,12 +33,10 @@ class DrawnLink:
     """A rigid body.
 
     Attributes:
-        name: its name.
         mass: kg, 0 for a frame without mass.
         com: (3,) centre of mass in the link, m.
         rpy: (3,) orientation of the principal axes in the link, rad.
         moments: (3,) principal moments about the centre of mass, kg*m^2.
-        shapes: collision shapes.
     """
 
     name: str
@@ -54,9 +52,7 @@ class DrawnJoint:
     """Joint between a parent and a child link, as in URDF.
 
     Attributes:
-        name: its name.
         kind: type of joint in URDF.
-        parent, child: names of the links.
         position, rpy: pose of the child in the parent, m, and rad about fixed axes.
         axis: (3,) unit vector in the child.
         limits: (lower, upper), rad or m, or None.

@@ -82,7 +82,6 @@ def base_motion(poses: BasePoses, start: int, duration: float, path: Path) -> Ba
     """Return the motion of the base during a trial.
 
     Args:
-        poses: recorded poses.
         start: stamp of the first state, ns.
         duration: time from the first to the last state or command, s.
         path: the recording, for errors.

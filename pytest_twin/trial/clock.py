@@ -37,7 +37,6 @@ class TimedMessages:
     """Messages of one topic with the chosen times.
 
     Attributes:
-        series: series of the topic.
         stamp: (n,) ns, in the order of the file.
         rows: (n,) indices of the messages in the series.
     """
@@ -74,7 +73,6 @@ def on_one_clock(
     times do not. Without usable log times the recording is split at a step.
 
     Args:
-        states, commands: the topics.
         asked: the clock that a user chose, or None.
         path: path of the recording, for errors.
 

@@ -93,7 +93,6 @@ class OtherMode:
     """A time in which a joint is commanded in another field, because its controller changed.
 
     Attributes:
-        joint: the joint.
         used, other: the field that is used, and the one that is filled in that time.
         start, end: first message with the other field, and the next one with the used field, s
             from the first state; infinite if there is none.
@@ -118,8 +117,6 @@ def other_modes(
     Fields that alternate from message to message are not a change of the controller.
 
     Args:
-        joint: the joint.
-        used: its field.
         time: (n,) times of the messages, s, not decreasing.
         own: (n,) which messages have the used field.
         others: field -> (n,) which messages have it.

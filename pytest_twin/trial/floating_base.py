@@ -18,7 +18,6 @@ def check_floating_base(
     """Check that nothing that carries the recorded joints moves freely.
 
     Args:
-        structure: structure of the model.
         recorded: recorded joints, with the model's names.
         path: path of the recording, for errors.
         has_pose: whether the pose of a base with a free joint was recorded and is used.
@@ -71,7 +70,6 @@ def refuse_moving_base(path: Path, base: BaseMotion | BasePoses | None) -> None:
     """Check that the base of the robot does not move, for what estimates effects.
 
     Args:
-        path: path of the recording.
         base: recorded motion of a floating base.
 
     Raises:

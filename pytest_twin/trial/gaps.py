@@ -129,7 +129,6 @@ def part_of(
     """The trial's states from ``start`` to ``end``, and commands from ``sent`` to ``sent_until``.
 
     Args:
-        trial: the trial.
         start, end: s from its first state.
         sent, sent_until: likewise; a command at ``sent_until`` is left out.
         parts: number of parts into which the recording is split.

@@ -102,7 +102,6 @@ def states_at_joints(
     Args:
         states: states with the model's names.
         signals: meaning of the recorded signals.
-        path: the recording.
 
     Raises:
         RecordingError: a joint is missing that turns the motor of another one.
@@ -147,8 +146,6 @@ def commands_at_joints(
     Args:
         commands: commands with the model's names.
         signals: meaning of the recorded signals.
-        topic: topic of the commands.
-        path: the recording.
 
     Raises:
         RecordingError: a command is no torque, or a joint is missing that turns the motor of

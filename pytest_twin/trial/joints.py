@@ -25,7 +25,6 @@ def in_model_names(
     The joints get the order of the model: results must not depend on the order in a message.
 
     Args:
-        series: series of one topic.
         names: mapping from recorded names to the model's.
         joints: joints of the model in its order; None to keep all joints.
         path: path of the recording, for errors.

@@ -68,7 +68,6 @@ def make_trials(
     """Convert a recording to trials: one, or one for each part between gaps of both topics.
 
     Args:
-        recording: content of the file.
         structure: structure of the model, for joints, ranges and actuators; None without a model.
         options: options that a user declared.
 

@@ -19,7 +19,6 @@ def recordings_at(
     Args:
         path: file or folder.
         topics: role -> topic.
-        options: declared options.
 
     Raises:
         TwinError: it cannot be read.
@@ -38,7 +37,6 @@ def recording_at(
     Args:
         path: file or folder.
         topics: role -> topic.
-        options: declared options.
         episode: number of the episode, from 0.
 
     Raises:

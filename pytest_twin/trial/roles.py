@@ -16,8 +16,6 @@ def refuse_final(metadata: Mapping[str, str], path: Path, use: str) -> None:
     """Refuse a recording with the role ``final`` for any use but the test of ranges.
 
     Args:
-        metadata: metadata of the recording.
-        path: path of the recording.
         use: the intended use, as a noun phrase.
 
     Raises:

@@ -110,7 +110,6 @@ def refuse_other_scale(
     """Check that positions do not follow their commands in the ratio of two units.
 
     Args:
-        motion: positions and position commands.
         ranges: joint -> range in the model; a joint that its stop holds is not judged.
 
     Raises:

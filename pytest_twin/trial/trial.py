@@ -34,7 +34,6 @@ class Mark:
         topic: the topic, None for the file.
         joint: the joint, None for all.
         start, end: s from the first state.
-        text: description.
     """
 
     kind: MarkKind
@@ -62,7 +61,6 @@ class Trial:
     """A recording, or a part of it without gaps, ready for replay.
 
     Attributes:
-        path: the recording.
         start: absolute stamp of the first state, ns.
         joints: (j,) joints of the states, with the names of the model.
         time: (n,) state stamps, s from the first state, not decreasing.

@@ -86,7 +86,6 @@ def unwrap(
     """Return positions and commands of a revolute joint with all their turns.
 
     Args:
-        motion: recorded positions and commands.
         limits: range of the joint, rad; None if it has none.
         turn: period of the recorded values, rad: a turn of the encoder.
         declared: True if a user declared that the positions are wrapped.

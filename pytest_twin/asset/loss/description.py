@@ -90,9 +90,7 @@ class Description:
     Attributes:
         name: name of the form, such as ``MJCF``.
         engine: parser or simulator that read it.
-        dynamics: its kinematics and dynamics.
         links: links that have their own body.
-        joints: moving joints.
         independent: degrees of freedom less those that couplings remove.
         actuators: actuator -> (joint, gear, force range in N*m or N or None).
         drives: joint -> description of its actuator's feedback (gains, limits).

@@ -116,7 +116,6 @@ def describe(model: mujoco.MjModel, root: str) -> Description:
     """Describe a compiled model.
 
     Args:
-        model: the compiled model.
         root: the link that is fixed to the world.
     """
     actuators = _actuators(model)

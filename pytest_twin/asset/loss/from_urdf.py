@@ -25,7 +25,6 @@ def describe(robot: Robot, extras: Extras, meshes: Mapping[str, Vector]) -> Desc
     """Describe a URDF.
 
     Args:
-        robot: the robot.
         extras: transmissions, sensors, contact and custom tags of its file.
         meshes: file name of a collision mesh, as written -> (n, 3) unscaled vertices, m.
     """

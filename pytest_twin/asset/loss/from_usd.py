@@ -17,7 +17,6 @@ def describe(path: Path, floating: Iterable[str] = ()) -> Description:
     """Describe the robot of a stage.
 
     Args:
-        path: the stage.
         floating: links without a joint that move freely in the source.
     """
     robot = usd_read.read(path)

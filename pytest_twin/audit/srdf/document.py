@@ -46,7 +46,6 @@ class Srdf:
 
     Attributes:
         root: its ``robot`` element.
-        asset: the URDF.
     """
 
     root: Node

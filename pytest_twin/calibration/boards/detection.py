@@ -62,7 +62,6 @@ class Detection:
     """Corners of a target in one image.
 
     Attributes:
-        image: name of the image.
         size: width and height, px.
         corner_ids: (n,) indices into ``Target.board_points()``.
         pixels: (n, 2) positions in the image, px; the centre of the first pixel is (0, 0).
@@ -99,7 +98,6 @@ def detect_files(
     that the time limit leaves unread is rejected too.
 
     Args:
-        paths: image files.
         target: what to look for.
         names: names of the detections; by default the file names.
         progress: called with the fraction of the images that were searched.
@@ -143,7 +141,6 @@ def detect(image: Grey, target: Target, name: str = "") -> Detection:
     Args:
         image: (height, width) grey values.
         target: what to look for.
-        name: of the image.
     """
     size = (image.shape[1], image.shape[0])
     found = find(image, target)

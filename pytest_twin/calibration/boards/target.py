@@ -45,7 +45,6 @@ class Target:
     page, is found from the image. With rows that go up, y points up the page and z out of it.
 
     Attributes:
-        kind: type of the board.
         squares: columns and rows of squares (of tags for an ``apriltag_grid``).
         square: edge of a square, m; for an ``apriltag_grid`` the distance from one tag to the
             next, which is the tag's edge and the gap together.

@@ -110,7 +110,6 @@ class Robot:
 
     Attributes:
         base_from_flange: (n, 4, 4) as the robot reports them, m.
-        mount: what the flange carries.
         arm: robot arm whose joint zeros or link deviations are estimated too.
         size_tolerance: standard deviation of the board's printed size, relative to its drawing;
             above 0 the size is estimated too.

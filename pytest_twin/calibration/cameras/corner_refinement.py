@@ -26,7 +26,6 @@ class Refined:
     """Result of a fit to the corners in images.
 
     Attributes:
-        estimate: the estimate.
         camera: the camera and its board.
         scale: scale of the board, estimated without its tolerance.
     """

@@ -72,9 +72,6 @@ class Covariance:
 class Elimination:
     """A matrix with its larger family of blocks eliminated.
 
-    Args:
-        matrix: the matrix.
-
     Raises:
         numpy.linalg.LinAlgError: a block of the eliminated family is singular.
     """

@@ -30,8 +30,6 @@ def with_consistent_orientation(
     first image is taken as the right one.
 
     Args:
-        images: images of the observations.
-        ids: ids of the observations.
         flange: (rows, 4, 4) as the robot reports it.
     """
     if not has_half_turn_symmetry(images.target):

@@ -31,7 +31,6 @@ class ImageRefinement:
     """Images of one calibration with the current camera and the estimate refined on their corners.
 
     Args:
-        images: images of the observations.
         observations: rows that the images belong to.
         fitted: indices of the rows from which the camera is estimated.
     """

@@ -174,13 +174,11 @@ class Equations:
     """Normal equations at given unknowns.
 
     Attributes:
-        cost: robust sum of squares.
         pixels, robot, deviation: residuals of corners (m, 2), px, of robot poses (k, 6), m and rad,
             and of the board (corners, 3), m.
         pixel_weights, robot_weights: (m,) and (k,) weights of Huber's function.
         robot_slopes: Jacobians of the robot residuals, (k, 6, 6) by the target's pose and
             (k, 6, count) by the globals, divided by the noise.
-        matrix: the normal matrix.
         right: gradient of half the cost.
     """
 

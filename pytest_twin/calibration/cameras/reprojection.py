@@ -57,7 +57,6 @@ def reprojection_residuals(
     Args:
         intrinsics: (16,) in the order of ``intrinsics.NAMES``.
         camera_from_target: (images, 4, 4), m.
-        corners: detected corners.
 
     Returns:
         (m, 2) residuals, px; (m, 2, 6) derivatives by a change of the image's

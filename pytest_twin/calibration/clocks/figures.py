@@ -30,7 +30,6 @@ def angular_speeds(
     Times count from the beginning of the hand's stream, on the hand's clock.
 
     Args:
-        hand, camera: the streams.
         fit: fit with the offset.
         middle: time of the camera's clock at which the offset holds, s.
         correlation: correlation of the angular speeds over the whole streams.
@@ -67,9 +66,7 @@ def scene_of_streams(
 
     Args:
         plan: plan with the camera's mount.
-        hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
-        fit: offset and transforms.
         middle: time of the camera's clock at which the offset holds, s.
         held_out: rows of the camera's stream that were held out.
     """

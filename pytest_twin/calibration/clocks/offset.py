@@ -96,8 +96,6 @@ def spread_rows(
     """Rows of the camera's stream, evenly over the hand's time range, and their hand times, s.
 
     Args:
-        hand, camera: the streams.
-        fit: offset and drift.
         middle: time of the camera's clock at which the offset holds, s.
         most: largest number of rows.
     """
@@ -113,9 +111,7 @@ def errors_at(
     """(n,) translation (m) and rotation (rad) errors of camera poses in the hand's time range.
 
     Args:
-        hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
-        fit: offset and transforms.
         middle: time of the camera's clock at which the offset holds, s.
     """
     time = hand_times(camera, fit.offset, fit.drift, middle)
@@ -139,7 +135,6 @@ def fit_clocks(
     """Fit all poses of the camera to the hand's interpolated poses by least squares.
 
     Args:
-        hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
         start: initial offset, transforms and scale.
         middle: time of the camera's clock at which the offset holds, s.
@@ -207,7 +202,6 @@ class _Equations:
     """Least-squares equations of two streams.
 
     Attributes:
-        hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
         middle: time of the camera's clock at which the offset holds, s.
         free: indices of the free unknowns.

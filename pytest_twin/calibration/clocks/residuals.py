@@ -19,9 +19,7 @@ def residuals_of(
     """Errors of the target's position, one per second, in the frame that the target is fixed to.
 
     Args:
-        hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
-        fit: offset and transforms.
         middle: time of the camera's clock at which the offset holds, s.
     """
     time = hand_times(camera, fit.offset, fit.drift, middle)

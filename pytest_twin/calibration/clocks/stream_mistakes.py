@@ -45,7 +45,6 @@ def mistakes_of_streams(
 
     Args:
         plan: plan with the accepted errors.
-        hand, camera: the streams.
         seen: (n, 4, 4) poses of the camera stream in ``hand @ hand_eye = robot_world @ seen``, m.
         fit: fit with the offset.
         middle: time of the camera's clock at which the offset holds, s.

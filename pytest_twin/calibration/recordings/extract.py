@@ -40,7 +40,6 @@ class ExtractedObservations:
     Attributes:
         rows: one mapping column -> text for each observation.
         left_out: unusable frames, with the reason.
-        notes: messages.
     """
 
     rows: tuple[Mapping[str, str], ...]
@@ -83,7 +82,6 @@ def extract(plan: Plan, path: Path, folder: Path) -> ExtractedObservations:
 
     Args:
         plan: plan that names topics and frames.
-        path: path of the recording.
         folder: folder where images are written, as ``images/NAME``.
 
     Raises:

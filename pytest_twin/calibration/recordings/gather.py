@@ -24,7 +24,6 @@ class GatheredObservations:
 
     Attributes:
         observations: observations of all files, concatenated.
-        left_out: unusable frames of recordings.
         tables: CSV files of the observations; those of recordings were written here.
     """
 

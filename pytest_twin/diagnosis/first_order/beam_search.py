@@ -143,7 +143,6 @@ class _Group:
     """Sensitivities with the same number of amplitudes, for batched algebra.
 
     Attributes:
-        which: indices of the sensitivities.
         columns: (sensitivities, amplitudes) indices of their columns.
         own: (signals, sensitivities, amplitudes, amplitudes) inner products among their columns.
     """
@@ -236,7 +235,6 @@ class NormalEquations:
 
     Args:
         view: residual and Jacobian of the present hypothesis.
-        candidate_sensitivities: sensitivities of the candidates.
     """
 
     def __init__(self, view: ResidualView, candidate_sensitivities: CandidateSensitivities) -> None:

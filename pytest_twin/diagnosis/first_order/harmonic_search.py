@@ -37,7 +37,6 @@ def search_harmonics(
 
     Args:
         linear: linearization around the present hypothesis.
-        view: its residual.
         terms: candidates; only laws with a wavenumber at the worst joint are searched.
     """
     joints = len(linear.problem.joints)

@@ -136,13 +136,7 @@ class _Efforts(NamedTuple):
 
 
 class LawForces:
-    """Evaluates the forces of laws along one motion.
-
-    Args:
-        simulator: the segments.
-        trajectory: the motion.
-        rigid: its rigid-body terms.
-    """
+    """Evaluates the forces of laws along one motion."""
 
     def __init__(
         self, simulator: BatchSimulator, trajectory: MeasuredTrajectory, rigid: RigidTerms
@@ -445,9 +439,6 @@ def state_force_derivatives(
     They are central differences, midway between the measured and the predicted motion.
 
     Args:
-        simulator: the segments.
-        trajectory: the motion.
-        rigid: its rigid-body terms.
         effects: effects of the hypothesis, values (1, joints).
 
     Returns:

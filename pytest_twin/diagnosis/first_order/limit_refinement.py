@@ -34,9 +34,7 @@ def refine_limits(
 
     Args:
         linear: linearization around ``best``.
-        view: its residual.
         candidate_sensitivities: sensitivities on the grid of starting sizes.
-        best: the present hypothesis.
     """
     joints = len(linear.problem.joints)
     far = np.sqrt(view.mean_square)[:joints] > FIRST_ORDER.limits_from * view.floor[:joints]

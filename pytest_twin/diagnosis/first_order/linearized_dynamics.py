@@ -128,7 +128,6 @@ def linearize_dynamics(
     motions as slopes. The linearization is therefore valid for large deviations too.
 
     Args:
-        simulator: the segments.
         trajectory: the measured and the predicted motion.
         effects: effects of the hypothesis, values (1, joints).
         measured, predicted: forces of the hypothesis along the measured and the predicted motion.

@@ -56,7 +56,6 @@ def fit_linearized(
 
     Args:
         linear: the linearization along the measured motion.
-        view: residual and noise floor.
         starts: hypotheses with starting values.
         iterations: largest number of steps.
         targets: (bins, signals) residual that each hypothesis is fitted to; that of ``view`` by

@@ -75,7 +75,6 @@ def measured_trajectory(
     """The measured motion of ``segments``: the prediction of a hypothesis plus its smoothed error.
 
     Args:
-        problem: the problem.
         hypothesis: the best hypothesis so far.
         segments: indices of the problem's segments.
     """

@@ -72,8 +72,6 @@ def rigid_terms(
     """Rigid-body terms of ``copies`` variants of the model.
 
     Args:
-        simulator: the segments.
-        trajectory: the motion.
         effects: effects that change the variants, values (copies, joints).
         copies: number of variants.
         increments: (copies, 2, joints) increments of positions and velocities. With them, terms are
@@ -133,8 +131,6 @@ def rigid_derivatives(
     """Rigid-body terms midway between measured and predicted motion, with derivatives of effort.
 
     Args:
-        simulator: the segments.
-        trajectory: the motion.
         effects: effects of the hypothesis, values (1, joints).
 
     Returns:
@@ -224,10 +220,6 @@ class InverseDynamics:
     Efforts are linear in masses and in first and second moments (Atkeson, An, Hollerbach, IJRR 5,
     1986), so a few evaluations give all variants. Motor inertias stay at the model's values; they
     are part of the motors' laws.
-
-    Args:
-        simulator: the segments.
-        trajectory: the motion.
     """
 
     def __init__(self, simulator: BatchSimulator, trajectory: MeasuredTrajectory) -> None:

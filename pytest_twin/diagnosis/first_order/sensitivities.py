@@ -65,7 +65,6 @@ class Sensitivity:
     """Sensitivity of the prediction to a candidate, for one choice of its shape parameters.
 
     Attributes:
-        term: the candidate.
         start: parameters at which the change was computed, with every amplitude on.
         amplitude_indices: indices of the parameters that switch the effect on.
         change: (bins, signals, amplitudes) prediction with one amplitude on, minus the prediction
@@ -110,7 +109,6 @@ def simulated_sensitivities(
     """Sensitivities by simulation: every candidate at one size, the best ones at all sizes.
 
     Args:
-        problem: the problem.
         terms: candidates that the hypothesis lacks.
         segments: indices of the segments that are simulated.
         hypothesis: the best hypothesis so far.
@@ -192,9 +190,7 @@ def sensitivities(
     """First-order sensitivities of every candidate at a hypothesis.
 
     Args:
-        problem: the problem.
         terms: candidates that the hypothesis lacks.
-        segments: indices of segments.
         hypothesis: the best hypothesis so far.
         residual: (samples, signals) residual of the hypothesis on the segments, if it is known.
 
@@ -243,9 +239,7 @@ class Linearization:
     """Linearization of a problem around one hypothesis, along the measured motion.
 
     Args:
-        problem: the problem.
         hypothesis: the hypothesis around which the prediction is linearized.
-        segments: indices of segments.
     """
 
     def __init__(

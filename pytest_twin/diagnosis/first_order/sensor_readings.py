@@ -53,14 +53,7 @@ class ReadingChange:
 
 
 class SensorReadings:
-    """Converts deviations from a motion into bin means of the sensor readings.
-
-    Args:
-        problem: the problem.
-        trajectory: the motion.
-        dynamics: linearized dynamics along it.
-        bins: bins of its segments.
-    """
+    """Converts deviations from a motion into bin means of the sensor readings."""
 
     def __init__(
         self,

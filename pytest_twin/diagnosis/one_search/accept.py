@@ -35,8 +35,6 @@ def accepts(
     Args:
         new, old: the models, on the same samples.
         nominal: the model without effects.
-        comparison: noise, blocks and folds.
-        settings: thresholds.
     """
     if not new.is_finite:
         return Acceptance(False, "its simulation diverges")

@@ -37,7 +37,6 @@ def fit_along_motion(
     Args:
         view: the motion linearized around the incumbent.
         models: models with their start parameters, simulated.
-        simulate: simulates hypotheses.
         floor: (signals,) noise floor.
         corrections: largest number of fits and simulations of each model.
     """

@@ -22,7 +22,6 @@ class Model:
     """A hypothesis and its simulated residual.
 
     Attributes:
-        hypothesis: terms and parameters.
         residual: (samples, signals) measured minus predicted.
         size: number of effects and parameters.
         origin: how it was proposed, for the trace.
@@ -95,7 +94,6 @@ class PooledModel:
     """What the pool keeps of a model.
 
     Attributes:
-        hypothesis: terms and fitted parameters.
         size: number of effects and parameters.
         evidence: penalized log-likelihood in which residuals at the level of noise are equal.
         is_simulated: whether its prediction was simulated, not linearized.

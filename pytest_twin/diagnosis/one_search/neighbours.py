@@ -103,7 +103,6 @@ def neighbours(
         comparison: by which they are scored.
         incumbent: the model that may be replaced.
         view: the motion linearized around it.
-        settings: of the search.
     """
     own = incumbent.hypothesis
     exchanged = dict[_Form, LinearizedFit]()
@@ -223,7 +222,6 @@ def confused(physics: Physics, own: Hypothesis, *, carried: bool = False) -> lis
 
     Args:
         physics: the robot and its recordings.
-        own: effects of the incumbent.
         carried: whether only effects with such a parameter are exchanged. Their prediction may be
             the same, which the linearization shows for small effects only.
     """

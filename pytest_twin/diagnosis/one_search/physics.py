@@ -103,7 +103,6 @@ class Physics(Protocol):
         """(samples, signals) residual of each hypothesis.
 
         Args:
-            hypotheses: the hypotheses.
             corrected_at: hypothesis at which the corrections of their predictions are measured.
         """
 
@@ -139,7 +138,6 @@ class Physics(Protocol):
         """As :meth:`linearize`, with candidates that are simulated at one size.
 
         Args:
-            hypothesis, residual, jacobian: the fitted hypothesis.
             closest: number of candidates that are simulated at all sizes.
         """
 
@@ -164,7 +162,6 @@ class Physics(Protocol):
         """The same robot and samples with each other setting of the simulation that is open.
 
         Args:
-            hypothesis: effects of the incumbent.
             is_explained: whether only noise remains. A setting may then need fewer effects.
         """
 
@@ -175,7 +172,6 @@ class SimulatedPhysics:
     Attributes:
         setup: the model with its simulation settings.
         prepared: the problem; all its segments are fitted.
-        trials: its recordings.
         possible: interpolations of the commands that the recordings do not rule out.
         between: interpolation that the search decided; None if it decided none.
         problem: the problem with the noise by which all settings are compared.

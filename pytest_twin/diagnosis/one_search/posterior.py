@@ -69,7 +69,6 @@ def posterior(
     """Confidence and alternatives of each effect of the last incumbent.
 
     Args:
-        found: the search.
         is_possible: whether a set may be reported; others are no alternatives.
     """
     incumbent, out = found.incumbent, Posterior()
@@ -107,7 +106,6 @@ def best_named(
     """The incumbent, or a set that is as likely and simpler, or that MJCF expresses further.
 
     Args:
-        found: the search.
         inexpressible: number of effects of a set that MJCF cannot express.
         is_possible: whether a set may be reported.
     """

@@ -38,7 +38,6 @@ def rejections(
         model: the last incumbent, with its Jacobian.
         nominal: the model without effects.
         without_each: term -> (signals,) mean squared residual of the model refitted without it.
-        uncertainty: of its parameters.
         floor: (signals,) noise floor.
         impossible: effects with impossible totals or outside the recorded range.
         joints: number of joints.

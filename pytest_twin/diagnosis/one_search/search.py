@@ -45,7 +45,6 @@ class SearchResult:
     """The last incumbent and the pool.
 
     Attributes:
-        incumbent: the accepted model.
         physics: the robot with the settings of the simulation of the incumbent.
         nominal: the model without effects.
         incumbents: scores of all incumbents, in order.
@@ -68,7 +67,6 @@ class Search:
 
     Args:
         physics: the robot and its recordings.
-        settings: bounds and thresholds.
         listener: called with each decision.
         check: called before each round; raises :class:`OutOfTime` where the search must end.
     """

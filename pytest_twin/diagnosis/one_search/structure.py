@@ -79,7 +79,6 @@ def find_structure(
     Validation recordings are fitted too: effects are accepted by cross-validation over all.
 
     Args:
-        realization: the nominal model.
         trials: the fit recordings; the validation recordings are in the place of held-out ones.
         inherited, threads, run, progress: as of
             :func:`~pytest_twin.diagnosis.diagnose.find_structure`.
@@ -128,7 +127,6 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> PooledSearch:
 
     Args:
         whole: the robot with its whole recordings.
-        run: the running diagnosis.
     """
     setup, prepared, trials = whole.setup, whole.prepared, whole.trials
     problem = prepared.problem

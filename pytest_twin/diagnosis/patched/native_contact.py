@@ -29,7 +29,6 @@ def write_contact(
     Args:
         spec: spec that is changed in place.
         contact: geoms that the effect acts on.
-        effect: id of the effect.
         values: parameters of the effect, SI units.
 
     Returns:

@@ -19,7 +19,6 @@ def describe_range_exits(
 
     Args:
         realization: realization with the types of joints.
-        patched: effects of the realization.
         time: (n,) s.
         predicted: predicted motion, (n, joints), in the order of ``patched.joints``.
     """

@@ -62,7 +62,6 @@ def replay_patched(
 
     Args:
         realization: loaded from the patched folder.
-        patched: its effects.
         trials: trials, of which only commands and initial states are used.
 
     Returns:
@@ -122,7 +121,6 @@ def predict_segments(
 
     Args:
         realization, patched: as for :func:`replay_patched`.
-        trial: the trial.
         segments: variants of :func:`patched_segment`: with another model or with added forces.
         variants: the effects of each segment, with other values; by default those of ``patched``.
         threads: number of threads, 0 for all cores.

@@ -56,8 +56,6 @@ def write_realization(
 
     Args:
         folder: new, empty folder.
-        realization: the nominal model.
-        problem: the diagnosed problem.
         hypothesis: effects of the findings with their parameters.
         inherited: effects of the nominal model, if an earlier diagnosis wrote it.
         recorded: simulation settings that follow from the recordings.

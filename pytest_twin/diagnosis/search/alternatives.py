@@ -48,8 +48,6 @@ class AlternativeComparison:
 
     Attributes:
         comparison: fits and scores the models.
-        problem: its problem.
-        recorded: ranges of the recordings.
     """
 
     def __init__(self, comparison: ModelComparison) -> None:
@@ -66,7 +64,6 @@ class AlternativeComparison:
         of ``selected`` are set.
 
         Args:
-            selected: the present fit.
             simplification_evidence: terms of a simplification that was simulated -> its evidence.
         """
         best = selected.best
@@ -172,7 +169,6 @@ class AlternativeComparison:
         better, and the best candidate instead of several terms, are fitted.
 
         Args:
-            best: the present fit.
             found: exchanges with their linearized evidence.
             additions: candidates that are better as an addition; they are not exchanged.
         """
@@ -249,8 +245,6 @@ class AlternativeComparison:
         no step forward would add them.
 
         Args:
-            best: the present fit.
-            simulated: simulated exchanges.
             additions: hypotheses with a candidate in addition, and their linearized evidence.
         """
         candidates = [

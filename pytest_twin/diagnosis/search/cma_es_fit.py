@@ -60,7 +60,6 @@ def fit_by_evolution(
     reproducible: each search has its own fixed seed.
 
     Args:
-        problem: the problem.
         starts: hypotheses with the same terms; the searches are divided among them.
         weights: (signals,) reciprocal standard deviations.
         steps: (parameters, parameters) result of :func:`initial_covariance_root`.

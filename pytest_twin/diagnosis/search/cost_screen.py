@@ -16,7 +16,6 @@ class CostScreen:
     """Simulates hypotheses on half of the fit segments, to choose which of them are fitted.
 
     Attributes:
-        problem: the problem.
         weights: (signals,) reciprocal standard deviations.
         segments: indices of the segments, those with the largest weighted residual.
     """

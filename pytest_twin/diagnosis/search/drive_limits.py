@@ -37,7 +37,6 @@ def replace_limits(best: ScoredModel, places: Sequence[Term]) -> list[Hypothesis
     The other limit has the size with the smallest error; the remaining parameters are not fitted.
 
     Args:
-        best: the present fit.
         places: limits in the present fit.
     """
     own, cost_screen = best.hypothesis, CostScreen(best, best.max_mean_square)

@@ -33,7 +33,6 @@ class EliminationResult:
     """Result of a backward elimination.
 
     Attributes:
-        best: the remaining model.
         simplification_evidence: terms of a simplification that was simulated -> its evidence
             relative to ``best``.
     """

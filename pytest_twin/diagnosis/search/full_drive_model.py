@@ -28,7 +28,6 @@ def with_all_drive_terms(problem: Problem, known: Hypothesis, joint: int) -> Hyp
     """A hypothesis with all drive effects of one joint in addition, at their neutral values.
 
     Args:
-        problem: the problem.
         known: the hypothesis; its parameters are kept.
         joint: column of the joint.
     """
@@ -56,7 +55,6 @@ def weigh_by_removal(
 
     Args:
         comparison: the comparison in which it was fitted.
-        best: the fit.
         removal_evidence: term -> evidence of the fit without it, relative to ``best``.
     """
     selected = SelectedModel(best, comparison.nominal, candidate_count=comparison.candidate_count)

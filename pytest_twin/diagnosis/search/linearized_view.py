@@ -32,7 +32,6 @@ class LinearizedView:
     """A fit with its first-order sensitivities.
 
     Attributes:
-        around: the fit.
         linear: its linearization; None if the candidates were simulated instead.
         view: residual of the fit, and its Jacobian with respect to its own parameters.
         candidate_sensitivities: sensitivities to the parameters of the candidates.
@@ -72,7 +71,6 @@ def simulate_around(best: ScoredModel, closest: int) -> LinearizedView:
     friction holds the joint elsewhere), it can miss what explains the difference.
 
     Args:
-        best: the fit.
         closest: number of candidates that are simulated at all sizes.
     """
     problem = best.problem

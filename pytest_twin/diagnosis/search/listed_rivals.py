@@ -36,8 +36,6 @@ def odds_of_listed_rivals(
     it exactly as good.
 
     Args:
-        best: the final set.
-        linearized: the linearization around it.
         penalty_per_effect: penalty of the log-likelihood for each effect.
     """
     linear, view = linearized.linear, linearized.view

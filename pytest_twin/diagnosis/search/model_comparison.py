@@ -39,14 +39,11 @@ class ModelComparison:
     """Fits and scores the models of one search.
 
     Attributes:
-        problem: the problem.
         has_validation: whether there are validation recordings, which no fit uses.
         candidate_count: number of candidates, each an effect at a joint.
         penalty_per_effect: penalty of the log-likelihood for each effect, chosen from
             ``candidate_count``.
-        nominal: the nominal model.
         since: number of steps that were simulated before this search.
-        run: the running diagnosis.
     """
 
     def __init__(self, problem: Problem, run: Run | None = None) -> None:
@@ -200,7 +197,6 @@ class ModelComparison:
         The part that the laws of ``model`` may leave because they are inexact is not counted.
 
         Args:
-            model: the present model.
             whole: (signals,) mean squared error of the nominal model.
             left: (signals,) mean squared error of ``model``.
         """

@@ -29,7 +29,6 @@ class PrunedModel:
     """A fitted model after pruning.
 
     Attributes:
-        fitted: the remaining effects.
         reduced_models: the model refitted without each remaining effect.
         notes: a line for each rejected effect.
         removal_evidence: term -> log-likelihood ratio of the model without it over the model, where
@@ -52,8 +51,6 @@ def prune(problem: Problem, selected: SelectedModel, *, single_step: bool = Fals
     in the catalogue, is at work there. Effects are removed until no simulation diverges.
 
     Args:
-        problem: what is explained.
-        selected: result of the search.
         single_step: whether each refit takes one step only.
     """
     notes, closest = list[str](), list[Term]()

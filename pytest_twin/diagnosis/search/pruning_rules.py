@@ -29,7 +29,6 @@ class RefitComparison:
     """A fitted model, and its refits without each of its effects, on the tested recordings.
 
     Attributes:
-        problem: what is explained.
         fitted: the model with all effects.
         confidence: of each effect against its alternatives.
         before: (signals,) residual of the nominal model, in noise floors.
@@ -320,9 +319,6 @@ def may_be_absent(
     Parameters without a slope (the release of a drive) have no region; such an effect is present.
 
     Args:
-        fitted: the model.
-        term: the effect.
-        uncertainty: covariance of the model.
         within: factor on the width of the region.
     """
     place = fitted.hypothesis.slice_of(term)

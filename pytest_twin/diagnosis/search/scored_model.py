@@ -57,7 +57,6 @@ class AlternativeEffects:
     Attributes:
         new: effects that it has instead.
         removed: effects that it lacks.
-        confidence: posterior share.
         prediction_difference: largest RMS difference between the two predictions, in noise floors;
             None if unknown.
     """
@@ -73,8 +72,6 @@ class SelectedModel:
     """The selected model and its alternatives.
 
     Attributes:
-        best: the selected model.
-        nominal: the nominal model.
         confidence: term -> posterior share against its alternatives, 0 to 1.
         alternatives: term -> effects that could replace it with their shares, best first.
         evidence: term -> evidence of the model with each alternative instead of the term, relative

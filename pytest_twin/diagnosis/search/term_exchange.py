@@ -70,8 +70,6 @@ def find_exchanges(
     """The best exchanges of each term, and of several terms of one joint.
 
     Args:
-        best: the present fit.
-        linearized: the linearization around it.
         penalty_per_effect: penalty of the log-likelihood for each effect.
     """
     terms = best.hypothesis.terms
@@ -114,9 +112,6 @@ def better_as_addition(
     is an alternative to none of them. Only its gain over the addition counts for an exchange.
 
     Args:
-        best: the present fit.
-        linearized: the linearization around it.
-        found: exchanges.
         clear: evidence above which an exchange is clearly better.
         penalty_per_effect: penalty of the log-likelihood for each effect.
 
@@ -154,9 +149,6 @@ def better_than_several(
     candidate starts from its fit as an addition, because the grid is coarse in shape parameters.
 
     Args:
-        best: the present fit.
-        linearized: the linearization around it.
-        found: exchanges.
         additions: result of :func:`better_as_addition`.
         penalty_per_effect: penalty of the log-likelihood for each effect.
 
@@ -212,7 +204,6 @@ def chance_gain(
     negative for a law with fewer parameters, or for a special case of the one that it replaces.
 
     Args:
-        own: the present fit.
         found: exchanges with their linearized evidence on the fit recordings.
         sample_ratio: number of samples of all recordings divided by that of the fit recordings.
         simulated: removed terms -> evidence that their removal loses in a simulation.

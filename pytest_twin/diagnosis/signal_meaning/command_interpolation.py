@@ -47,7 +47,6 @@ class CommandInterpolation:
     """The answer for recordings with one command period.
 
     Attributes:
-        fact: the answer.
         possible: assumptions that are not ruled out.
         period: command period, s.
         default: assumption that is used without an answer.

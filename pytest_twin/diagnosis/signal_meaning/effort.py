@@ -76,9 +76,7 @@ def build_joint_log(
     Args:
         time: (n,) times of the samples, s.
         position, velocity, effort: (n,) values of the joint, finite.
-        setpoint: the commands.
         joint: column of the joint in ``setpoint``.
-        mode: command mode.
     """
     if len(time) < EFFORTS.fewest_samples:
         return None
@@ -110,7 +108,6 @@ def fit_control_law(log: JointLog, lag: float = 0.0, dead_zone: float = 0.0) -> 
     """How well the control law on the measured state explains the efforts, with fitted gains.
 
     Args:
-        log: log of the joint.
         lag: time constant of the drive, s; 0 for the demanded effort.
         dead_zone: half width of the dead zone of the error, rad or m.
     """

@@ -34,7 +34,6 @@ def interpolation_with_fewer_effects(
         found: the result under the present interpolation.
         setup: the model with its simulation settings.
         possible: interpolations that the recordings do not rule out.
-        run: the running diagnosis.
     """
     start = found.explanation.hypothesis
     if not start.terms:

@@ -50,7 +50,6 @@ class InterpolationFit:
         answer: interpolation of the commands between their stamps.
         fit: the fit under the answer, or under the assumption that is used if it is open.
         space: the parameters of the fit.
-        joints: names of the joints.
     """
 
     answer: CommandInterpolation
@@ -69,7 +68,6 @@ def fit_interpolation(
     Args:
         setup: the model with its simulation settings.
         trials: recordings with the same command period.
-        interpolations: possible interpolations.
 
     Raises:
         TwinError: as :func:`~pytest_twin.diagnosis.search_result.build_problem`.

@@ -180,7 +180,6 @@ def determine_signals(setup: ModelSetup, trials: TrialSet) -> RecordedSignals:
 
     Args:
         setup: the model with its simulation settings.
-        trials: fit and validation recordings.
     """
     everything = [*trials.fit, *trials.held_out]
     velocity = _velocities(everything)

@@ -39,7 +39,6 @@ class StepTimes:
     Attributes:
         setup: the model with its simulation settings.
         space, fit: smooth parameters of the joints, fitted to recordings of the same controller.
-        joints: names of the joints.
         period: command period of the recordings, s.
         known: file and start of a recording -> times of its steps, as shares of their periods; None
             where they cannot be fitted.

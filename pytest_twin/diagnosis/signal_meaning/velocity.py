@@ -24,7 +24,6 @@ class VelocitySignal:
     """Origin and age of a logged velocity.
 
     Attributes:
-        kind: origin of the velocity.
         lag: age relative to the position of the same message, s.
         lag_error: standard error of ``lag``, s.
         bandwidth: corner frequency of the driver's first-order filter, Hz; infinite without one.

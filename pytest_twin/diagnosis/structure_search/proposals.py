@@ -66,9 +66,7 @@ def propose_models(
     """Proposals around the incumbent, most promising first.
 
     Args:
-        scorer: of the problem.
         linearized: the incumbent, linearized, with the responses of all candidates.
-        settings: of the search.
     """
     own = linearized.around.hypothesis
     pool: dict[tuple[frozenset[Term], bytes], Hypothesis] = {}

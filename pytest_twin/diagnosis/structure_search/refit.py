@@ -29,7 +29,6 @@ def fit_with_correction(
     """Models fitted in the linearized motion; a step is kept if its simulation is better.
 
     Args:
-        scorer: simulates and scores models.
         linearized: the linearization around the incumbent.
         models: models with their start parameters, simulated.
         corrections: largest number of fits and simulations of each model.

@@ -25,7 +25,6 @@ class SimulatedModel:
     """A hypothesis and its simulated residuals.
 
     Attributes:
-        hypothesis: terms and parameters.
         residual: (samples, signals) on the fit recordings.
         validation: (samples, signals) on the validation recordings; no rows if there are none.
         problem: the problem with the corrections of these residuals.
@@ -49,7 +48,6 @@ class Scorer:
     """Scores and compares models of one problem.
 
     Attributes:
-        problem: recordings and simulator.
         penalty_per_effect: penalty of the log-likelihood for each effect.
         earns, share: thresholds, as in :class:`StructureSearchSettings`.
         nominal: the model without any effect.
@@ -67,7 +65,6 @@ class Scorer:
         """Simulate hypotheses on all recordings, without fitting them.
 
         Args:
-            hypotheses: the hypotheses.
             corrected_as: the model whose corrections their predictions have.
         """
         return self._simulate(corrected_as.problem, hypotheses)

@@ -46,7 +46,6 @@ class SearchState:
     """Result of a search.
 
     Attributes:
-        model: the accepted model.
         jacobian: (samples, signals, parameters) Jacobian of its last fit.
         rejected_models: rejected models of the last round, with their log-likelihood ratio to
             ``model``.
@@ -70,9 +69,7 @@ class StructureSearch:
     """One search over sets of effects for a problem.
 
     Args:
-        problem: the problem.
         run: the diagnosis that the search belongs to.
-        settings: thresholds and bounds.
         should_stop: called with each accepted model; returns whether the search ends.
     """
 

@@ -32,7 +32,6 @@ class StartPlace:
     """What a start is an alternative to: starts in the same place differ in their sizes only.
 
     Attributes:
-        term: the proposed effect.
         others: effects that start with it.
         replaced: effects of the joint that it replaces.
     """
@@ -56,12 +55,10 @@ def propose_by_simulation(
     proposed at all of them together too.
 
     Args:
-        scorer: of the problem.
         incumbent: the model that may be replaced.
         best: the best model of this step; effects propose starts at joints that it leaves
             unexplained.
         screen: simulates on a part of the recordings.
-        terms: candidates of the problem.
     """
     own = incumbent.hypothesis
     found = dict[StartPlace, list[Hypothesis]]()

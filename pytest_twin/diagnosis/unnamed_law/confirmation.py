@@ -85,7 +85,6 @@ def confirm_on_test(
     """Predict the test recordings with the laws, and drop laws that remove too little of the error.
 
     Args:
-        found: the laws.
         fitted: the problem to whose joints they refer.
         tested: the result on the test recordings.
         searched_all: whether the search over the catalogue was completed; otherwise confidences are

@@ -35,7 +35,6 @@ class Covariate:
 
     Attributes:
         effect: id of the effect with the table.
-        variable: argument of the table.
         at: (segments, samples) values of the variable, in its unit.
         sign: (segments, samples) factor on the table: 1 for a force, minus the direction of motion
             for friction.

@@ -65,8 +65,6 @@ def fit_free_laws(
     """Fit free laws at the joints that are left unexplained.
 
     Args:
-        prepared: the problem.
-        hypothesis: the findings.
         unexplained_at: joint -> where its residual occurs, the largest residual first.
         segments: indices of the segments that may be used; of each recording all or none.
     """

@@ -22,7 +22,6 @@ class AlternativeVariable:
     """Another variable over which a table explains a part of the residual.
 
     Attributes:
-        variable: name of the variable.
         is_friction: whether the table is a level of dry friction.
         confidence: share against all variables, 0 to 1.
     """
@@ -37,7 +36,6 @@ class FreeLaw:
     """A force, or a level of dry friction, that no effect of the catalogue explains.
 
     Attributes:
-        joint: name of the joint.
         term: effect and joint, in the numbering of the problem.
         curve: the table with its band.
         resembles: id of an effect with this shape; None if there is none.
@@ -45,7 +43,6 @@ class FreeLaw:
             cross-validation over whole recordings.
         confidence: share of this variable against the others, 0 to 1.
         alternatives: other variables, most likely first.
-        where: when the residual occurs.
     """
 
     joint: str
@@ -67,7 +64,6 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
     """The finding as an object of ``diagnosis.json``.
 
     Args:
-        law: the law.
         held_out_gain: share of the squared held-out error that it removes.
     """
     curve = law.curve

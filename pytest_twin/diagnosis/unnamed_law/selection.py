@@ -82,7 +82,6 @@ class TableFit:
     Attributes:
         tables: one or two tables.
         responses: (bins * signals, p) weighted responses to the values at the knots.
-        regression: the least-squares sums.
         strength: the penalty, one of ``STRENGTHS``.
         errors: (recordings,) squared error of each recording with coefficients from the others.
     """

@@ -25,7 +25,6 @@ class Curve:
     """A table over one variable.
 
     Attributes:
-        variable: argument of the table.
         is_friction: whether the table is a level of dry friction instead of a force.
         units: units of the variable and of the force.
         knots, values: (n,) in these units.
@@ -123,7 +122,6 @@ def matching_effect(curve: Curve, *, turns: bool) -> str | None:
     """The id of the simplest effect of the catalogue with nearly this curve; None without one.
 
     Args:
-        curve: the table.
         turns: whether the joint is a hinge, so that a periodic curve may come from gear or motor.
     """
     for effect, columns in _basis_of_effects(curve).items():

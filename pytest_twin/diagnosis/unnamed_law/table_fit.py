@@ -78,7 +78,6 @@ def fit_tables(
 
     Args:
         problem: problem with the recordings.
-        hypothesis: effects of the findings.
         chosen: tables with their initial values.
         data: linearization and residual around the hypothesis.
     """

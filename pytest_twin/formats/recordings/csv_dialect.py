@@ -33,7 +33,6 @@ class PlainTable:
 
     Attributes:
         headings: text of the line of headings, as written.
-        separator: what separates its cells.
         line: number of that line in the file.
         body: the rows below it; line breaks are those of the file.
         notes: how the file is written, where it is not plain.
@@ -87,7 +86,6 @@ def plain_table(path: Path, data: bytes) -> PlainTable:
 
     Args:
         path: the file, for errors.
-        data: its content.
 
     Raises:
         FormatError: no headings, a quote that does not end, or numbers that may be read in two

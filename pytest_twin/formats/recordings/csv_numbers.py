@@ -128,7 +128,6 @@ class Body:
 
         Args:
             written: (n,) times as written.
-            cells: their text.
             unit: ns in one unit.
             whole: whether all are whole numbers.
 

@@ -125,8 +125,6 @@ def _interval(fit: ContactFit, name: str, deviation: float, at: float) -> list[f
     """95 % interval around a value; symmetric in the logarithm if that was estimated.
 
     Args:
-        fit: the fit.
-        name: the parameter.
         deviation: standard deviation at the fitted value.
         at: fitted value, or that of another simulation.
     """

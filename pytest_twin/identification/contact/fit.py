@@ -68,7 +68,6 @@ class Variant:
     """Result of the fit with other simulation options.
 
     Attributes:
-        name: changed option.
         values: parameter -> value that fits best with this option.
         held: error on held-out tosses with these values.
         kept: error on held-out tosses with the values of the main fit.
@@ -106,7 +105,6 @@ class ContactFit:
         values: parameter -> value, of free and fixed parameters.
         names: free parameters, in the order of the covariance.
         covariance: (p, p) covariance of the free parameters, in their units.
-        undetermined: undetermined combinations.
         without_effect: friction coefficients without significant effect on the predictions.
         nominal, fitted: errors on the fit tosses.
         nominal_held, fitted_held: errors on the held-out tosses.
@@ -314,7 +312,6 @@ def _compensate(
     that its interval contains what the fixed value might change.
 
     Args:
-        loss: errors of segments.
         found: (p,) minimum, on the scales.
         removed, partner: indices of the fixed parameter and of the one that compensates for it.
         groups: (s,) index of the toss of each segment.

@@ -37,7 +37,6 @@ def identify_contact(
     """Fit the contact of a free body, and write the fitted model.
 
     Args:
-        realization: the nominal model.
         recordings, held_out: archives of tosses and bags.
         options: settings for reading the tosses.
         folder: empty folder for the fitted model.

@@ -38,7 +38,6 @@ class Parameter:
     Attributes:
         name: a key of ``UNITS``.
         low, high: bounds in its unit.
-        start: nominal value.
         is_logarithmic: whether the scale is logarithmic.
     """
 
@@ -79,8 +78,6 @@ class ContactModel:
     other contacts keep those of the model.
 
     Attributes:
-        model: nominal model.
-        body: the tossed body.
         parameters: free parameters.
         fixed: fixed parameters -> value.
     """

@@ -54,11 +54,9 @@ def push_of(
     Args:
         wrench: about the object's origin, in the axes of the object (its frame is named like the
             body) or of the world.
-        body: the object.
         centre: (3,) its centre of mass in its own axes, m.
         time: (n,) stamps of its poses, s.
         poses: (n, 7) m, quaternion w x y z.
-        path: the recording.
 
     Raises:
         RecordingError: the wrench is in another frame.

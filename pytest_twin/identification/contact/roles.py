@@ -43,9 +43,7 @@ class TossSet:
     """Tosses by role.
 
     Attributes:
-        fit, held_out: whole tosses.
         units: stated or detected units of the recordings.
-        notes: messages on automatic decisions.
     """
 
     fit: tuple[Toss, ...]
@@ -71,7 +69,6 @@ def read_by_role(
     Args:
         recordings, held_out: ``.npz`` archives and bags.
         gravity: (3,) gravity of the model, m/s^2.
-        body: the object.
         centre: (3,) centre of mass of the object in its own axes, m.
         options: settings for reading.
 

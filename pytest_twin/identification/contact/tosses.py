@@ -29,7 +29,6 @@ class Toss:
 
     Attributes:
         name: name, including the file's.
-        path: path of the file.
         time: (n,) s, from 0.
         poses: (n, 7) x y z (m) and quaternion w x y z.
         twist: (n, 6) linear velocity in the world's axes (m/s) and angular velocity in the object's
@@ -59,7 +58,6 @@ class Units:
         length: unit of length, m.
         period: time between two samples, s; None if the file has stamps.
         lag: delay of recorded velocities against the poses of the same sample, s.
-        notes: messages on detected units.
     """
 
     length: float

@@ -76,7 +76,6 @@ def surface(loss: Loss, centre: FloatArray, groups: Sequence[int]) -> Surface:
     """Fit the quadratics over a region in which their minimum does not increase the error.
 
     Args:
-        loss: errors of segments.
         centre: (p,) position on the scales.
         groups: (s,) index of the toss of each segment.
     """
@@ -137,7 +136,6 @@ def bootstrap_minimum(
         free: indices of the estimated parameters; the others stay at the centre.
         rivals: groups of other positions (p,) that predict the tosses equally well. The mean
             square distance of each group is added to the covariance.
-        seed: seed of the resampling.
     """
     kept = np.array(free, dtype=int)
     part = Surface(found.centre[kept], _selected_coefficients(found, kept), found.reach)

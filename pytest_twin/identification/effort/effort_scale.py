@@ -95,7 +95,6 @@ def payload_scales(
 
     Args:
         realization: the nominal model, with the twin that states the payloads.
-        recordings: recordings to fit.
         regressor: regressor of the robot without payload, ``W``.
         chosen: low-pass filter of regressor and effort.
     """

@@ -95,11 +95,9 @@ def encoders_of(
 
     Args:
         realization: nominal model, with the twin that states payloads.
-        recordings: fitted recordings.
         regressor, base: regressor and base parameters of the robot.
         problem: problem with all columns that the motion excites.
         values: (b,) fitted base parameters at which efforts are differentiated.
-        chosen: filter of the motion.
     """
     names = [(joint, kind) for joint in regressor.joints for kind in (BIAS, SCALE)]
     own = slopes_of(realization, recordings, regressor, base, values, chosen, names)
@@ -143,7 +141,6 @@ def widen_by_encoder_errors(
         problem: problem with the columns of the solution.
         solution: fit at the corrected positions, as if these were exact.
         slopes: (n, joints, k) derivatives of the efforts by the errors (:func:`slopes_of`).
-        encoders: estimated errors.
     """
     value = np.array([one.value for one in encoders.readings])
     std = np.array([one.half_width for one in encoders.readings]) / Z95

@@ -37,12 +37,9 @@ class EffortEstimate:
     """Essential parameters with the chosen estimator and the reason.
 
     Attributes:
-        fitted: the essential parameters.
-        estimator: chosen estimator.
         why: reason for the choice, in one sentence.
         squares: weighted least squares of the same parameters.
         test: test for noise in the regressor; None without an instrument.
-        bootstrap: check of the intervals.
     """
 
     fitted: EssentialParameters

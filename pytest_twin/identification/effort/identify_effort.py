@@ -103,7 +103,6 @@ class EffortResult:
         regressor: regressor of the robot, with nominal parameters.
         base: base parameters of the joints whose effort is known.
         fitted: fit of the essential parameters.
-        stages: gravity, inertia, friction, drive.
         stage_of: (b,) stage of each base parameter.
         errors: joint -> error of the written model on held-out recordings, or on the fitted ones if
             nothing is held out.
@@ -115,7 +114,6 @@ class EffortResult:
         structural: base parameters that some motion could show; ``base`` are those of this motion.
         unsure: base parameters that are omitted, but may be as large as their nominal values.
         physical: full, physically consistent parameters, which are written.
-        filter: filter of the motion.
         samples: rows of the fitted recordings.
         held_out: rows of the held-out recordings.
         delay: delay of the efforts, if one was found.
@@ -124,7 +122,6 @@ class EffortResult:
         estimate: estimator and the check of its intervals.
         encoders: zeros and scales of encoders.
         suspected: suspected mistakes of the input.
-        notes: messages.
     """
 
     regressor: Regressor
@@ -171,7 +168,6 @@ def identify_effort(
     """Fit the inverse dynamics to recordings with efforts.
 
     Args:
-        realization: the nominal model.
         measured: recordings of the same joints.
         signals: meaning of the recorded signals.
 
@@ -392,7 +388,6 @@ def _repeat_delay_stage(
     """Repeat the delay stage if corrected encoders change its result.
 
     Args:
-        realization: the nominal model.
         recordings: recordings with corrected positions, with and without the delay.
         signals: meaning of the recorded signals.
         found, delay: identification without the delay, and the stage of the delay.

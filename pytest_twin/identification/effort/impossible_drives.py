@@ -14,7 +14,6 @@ def impossible_drives(base: BaseParameters, fitted: EssentialParameters) -> list
     """Return the drives' parameters that are negative beyond their 95 % intervals.
 
     Args:
-        base: base parameters.
         fitted: fit of the essential ones.
     """
     found = []

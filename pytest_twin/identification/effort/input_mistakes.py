@@ -43,9 +43,7 @@ class InputMistake:
     """A suspected mistake of the input.
 
     Attributes:
-        joint: its joint.
         what: joint, mistake and the figure that shows it.
-        mend: how to correct it.
         is_fatal: whether the result must be rejected until it is corrected.
     """
 
@@ -81,9 +79,7 @@ def find_mistakes(
     a CAD model.
 
     Args:
-        realization: the nominal model.
         recordings, samples: fitted recordings and their rows.
-        regressor: regressor of the robot.
         gears: (joints,) stated gear ratios, 1 by default.
     """
     found = _rescaling_by_effort(realization, recordings, samples, regressor, gears)

@@ -94,7 +94,6 @@ def commanded_motion(recording: MeasuredRecording, chosen: Filter) -> MeasuredRe
 
     Args:
         recording: recording with its commands.
-        chosen: filter of the motion.
     """
     if recording.command is None or not np.isfinite(recording.command).all():
         return None
@@ -157,7 +156,6 @@ def endogeneity(
     Args:
         problem: problem on the fitted recordings, with its instrument.
         tested: problem on the held-out recordings, or the same.
-        squares, instruments: the two estimates.
     """
     assert problem.instrument is not None
     weight = squares.weight

@@ -94,7 +94,6 @@ def linear_problem(
     """Build the linear problem of recordings.
 
     Args:
-        samples: the recordings.
         columns: (b,) indices of the regressor's columns.
         dry: (joints, b) True for those that are dry friction of a joint.
     """

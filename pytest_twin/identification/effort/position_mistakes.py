@@ -32,7 +32,6 @@ def position_mistakes(
     """Return suspected mistakes in the positions of joints.
 
     Args:
-        realization: the nominal model.
         recordings: fitted recordings, of the same joints.
         gears: (joints,) stated gear ratios, 1 by default.
     """

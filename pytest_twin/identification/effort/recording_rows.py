@@ -25,7 +25,6 @@ class RecordingRows:
     """Rows of one recording at the rate of the fit.
 
     Attributes:
-        name: name of the recording.
         time: (n,) s.
         matrix: (n, joints, p) derivative of the effort by each parameter.
         effort: (n, joints) measured effort with the known efforts of the model added, N*m or N; NaN
@@ -61,7 +60,6 @@ def sample(
     Args:
         recordings: recordings with the joints of the regressors.
         regressors: regressor of each recording, which may have its own payload.
-        chosen: filter of the motion.
         commanded: the same recordings with noise-free motion, for an instrument.
         rest: (joints,) speeds below which a joint is at rest; by default those of the recordings.
     """
@@ -89,8 +87,6 @@ def encoder_slopes(
 
     Args:
         recordings: recordings with the joints of the regressor.
-        regressor: regressor of the robot.
-        chosen: filter of the motion.
         parameters: (p,) parameters of each recording.
 
     Returns:

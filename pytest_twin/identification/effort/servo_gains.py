@@ -144,8 +144,6 @@ def servo_gains(
     an integral term. Recordings of controllers that the twin declares have their gains there.
 
     Args:
-        realization: the nominal model.
-        recordings: fitted recordings.
         found: identification, whose delay, gains and scales of efforts are removed.
         signals: meaning of the recorded signals.
     """

@@ -58,8 +58,6 @@ def confirm_stages(
     written model then predicts the held-out efforts at least as well.
 
     Args:
-        regressor: regressor of the robot.
-        fit: what the effort says.
         stages: stages, each tested with all other parameters free.
         known: joints whose effort is known.
         tested: held-out rows with all columns, or the fitted ones if nothing is held out.
@@ -106,7 +104,6 @@ def written_parameters(
     Args:
         columns: (p,) description of all parameters.
         prior: (p,) their nominal values.
-        fit: what the effort says.
         rejected: stages that held-out recordings do not confirm.
         known: joints whose effort is known.
     """

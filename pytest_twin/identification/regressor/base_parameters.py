@@ -130,7 +130,6 @@ def structural_base(regressor: Regressor, seed: int = 0) -> BaseParameters:
     depends on the robot only and not on a trajectory.
 
     Args:
-        regressor: regressor of the robot.
         seed: seed of the random motion; the result does not depend on it.
     """
     count = len(regressor.joints)

@@ -40,7 +40,6 @@ class CameraTrial:
     """One recording of observed target orientations and joint motion.
 
     Attributes:
-        path: path of the recording.
         stamps: (n,) stamps of the frames, s.
         seen: n orientations of the target in the camera.
         turns: orientations of the frame in the world, interpolated over the joints' time, s.
@@ -68,13 +67,10 @@ def frames_seen(
     """Return the frames within the time range of the joint states.
 
     Args:
-        path: path of the recording.
         frame: site or body that carries the camera or its target.
         stamps: (n,) stamps, ns.
         poses: (n, 7) target in the camera: x y z (m), quaternion x y z w.
-        joints: states of the joints.
         names: names of the joints that the model has.
-        realization: the model.
 
     Raises:
         RecordingError: too few frames while the joints were recorded.

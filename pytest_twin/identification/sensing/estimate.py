@@ -28,10 +28,7 @@ class SensorEstimate:
     """Estimated parameters of one sensor.
 
     Attributes:
-        kind: kind of the sensor.
         axes: names of its axes.
-        axis_units: units of its readings.
-        names: names of the parameters.
         values: (p,) values in SI units.
         units: (p,) units.
         covariance: (p, p) covariance.
@@ -62,9 +59,6 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
     Saturated readings are left out. The filter time constant of a force-torque sensor minimizes the
     residual; for a given time constant the other parameters are linear. The covariance is that of
     the linearized problem.
-
-    Args:
-        fit, held_out: recordings of one sensor.
     """
     kind = fit[0].kind
     axes = axes_of(kind, fit[0].is_slide)
@@ -123,9 +117,6 @@ def estimate(fit: Sequence[SensorTrial], held_out: Sequence[SensorTrial]) -> Sen
 
 def estimate_camera(fit: Sequence[CameraTrial], held_out: Sequence[CameraTrial]) -> SensorEstimate:
     """Estimate the delay of a camera's frames.
-
-    Args:
-        fit, held_out: recordings of one camera.
 
     Raises:
         RecordingError: the target does not rotate with the frame.

@@ -60,7 +60,6 @@ def identify_sensors(
     """Estimate sensors, and write the unchanged model.
 
     Args:
-        realization: the model.
         recordings, held_out: bags with joint states and the sensors' topics.
         sensors: names, topics and frames of the sensors.
         state: topic of the joint states.

@@ -61,9 +61,6 @@ def compare_readings(
     an ideal sensor is returned too.
 
     Args:
-        sensors: sensors of the twin.
-        path: path of the recording.
-        realization: the model.
         motion: predicted joint states, before quantization by the encoders.
         state: topic of the joint states.
 

@@ -38,7 +38,6 @@ class NamedSensor:
 
     Attributes:
         name: name of the sensor, as its record calls it.
-        topic: topic of its readings.
         frame: site or body in whose axes it reads; for a joint torque sensor, the joint.
     """
 
@@ -52,7 +51,6 @@ class SensorTrial:
     """One recording of one sensor, on a regular grid.
 
     Attributes:
-        path: the recording.
         period: time between samples, s.
         reading: (n, k) recorded readings, in the SI units of the sensor's kind.
         smoothed: (n, k) readings with the low-pass filter of the motion.

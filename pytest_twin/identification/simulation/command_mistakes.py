@@ -24,11 +24,7 @@ _MOVED = 1e-3
 
 
 def command_mistakes(trials: Sequence[Trial]) -> list[InputMistake]:
-    """Return suspected mistakes in position commands: sign, unit, or side of the gear.
-
-    Args:
-        trials: fitted trials.
-    """
+    """Return suspected mistakes in position commands: sign, unit, or side of the gear."""
     found = []
     for joint in dict.fromkeys(name for trial in trials for name in trial.joints):
         pairs = [pair for trial in trials if (pair := _pair(trial, joint)) is not None]

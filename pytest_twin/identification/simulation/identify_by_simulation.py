@@ -83,7 +83,6 @@ def identify_simulation(
     """Fit effects stage by stage; a stage that is accepted is frozen.
 
     Args:
-        realization: the nominal model.
         trials: recordings with commands.
         inherited: effects of an earlier diagnosis that the MJCF does not contain.
         threads: number of threads of the simulation, 0 for all cores.

@@ -30,9 +30,7 @@ class _BackEmf:
     Attributes:
         term: the effect that takes the back-EMF out of the damping.
         at: index in theta.
-        value: back-EMF.
         whole: damping of the model and all corrections of it; at least zero.
-        scale: scale of the parameter.
     """
 
     term: Term

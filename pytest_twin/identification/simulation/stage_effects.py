@@ -88,7 +88,6 @@ def terms_of(stage: StageName, modes: Sequence[str]) -> list[Term]:
     """Return the terms that a stage fits.
 
     Args:
-        stage: name of the stage.
         modes: (joints,) command mode of each joint's drive.
     """
     return terms_at(SIMULATED[stage], modes)
@@ -140,8 +139,6 @@ def start(terms: Sequence[Term], scales: Scales, first: FloatArray) -> Hypothesi
     """Return the start of a fit: the first values from the equation error.
 
     Args:
-        terms: terms of the hypothesis.
-        scales: scales of their parameters.
         first: (joints, 5) values of :func:`~.equation_error.first_values`. Parameters without a
             first value start at the model's own value.
     """

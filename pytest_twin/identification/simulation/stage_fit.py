@@ -121,7 +121,6 @@ def add_effects(
     recordings at each joint. Held-out recordings thus test one effect a round and select none.
 
     Args:
-        problem: problem of the stage.
         base: fitted terms of the stage, with the nuisance terms that are free too.
         effects: ids that may be added.
         modes: (joints,) command mode of each joint's drive.

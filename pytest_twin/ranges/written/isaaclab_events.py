@@ -29,9 +29,7 @@ def measured_robot(env, env_ids, asset_cfg, seed=None):
     """Draw a robot for each environment.
 
     Args:
-        env: the environment.
         env_ids: (n,) which environments, None for all.
-        asset_cfg: the articulation.
         seed: seed of the draws; None for a different one each time.
     """
     asset = env.scene[asset_cfg.name]

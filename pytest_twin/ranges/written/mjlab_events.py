@@ -32,7 +32,6 @@ def measured_robot(env, env_ids, asset_cfg, seed=None):
     """Draw a robot for each environment.
 
     Args:
-        env: the environment.
         env_ids: (n,) which environments, None for all.
         asset_cfg: the robot, with its joints and bodies in the order of the names below.
         seed: seed of the draws; None for a different one each time.

@@ -91,7 +91,6 @@ def features_of(
     """Features of a realization, from the cache if all files behind them are unchanged.
 
     Args:
-        twin: the twin.
         reference: realization, or another model that a record was made with.
         read: reads the features from the model in a child process; returns ``Features.to_json``.
         versions: Python distribution that reads models, such as MuJoCo -> version.

@@ -33,7 +33,6 @@ def model_parts(
     """Part id -> part of a compiled model.
 
     Args:
-        model: the model.
         name: name of the realization, the prefix of all ids.
         velocity_limit: joint -> rad/s or m/s, where the source states it.
     """

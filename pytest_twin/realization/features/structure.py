@@ -13,13 +13,7 @@ from pytest_twin.realization.inputs import joint_inputs
 
 
 def structure_of(model: mujoco.MjModel, name: str, part_ids: frozenset[str]) -> Structure:
-    """Read the structure of a compiled model.
-
-    Args:
-        model: the model.
-        name: name of the realization.
-        part_ids: ids of its parts.
-    """
+    """Read the structure of a compiled model."""
     elements = Elements(model)
     body = elements.body
 

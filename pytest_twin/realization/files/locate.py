@@ -72,7 +72,6 @@ def locate(
         path: the model's file, in a folder without symbolic links.
         twin: the twin; its roots are used, and none is chosen.
         roots: roots that are used instead of a chosen one.
-        limits: size limits.
 
     Raises:
         FormatError: the file is not well-formed XML.

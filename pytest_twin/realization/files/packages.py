@@ -31,7 +31,6 @@ class FoundPackage:
     """A ROS package.
 
     Attributes:
-        folder: its folder.
         by: how it was found, as text.
     """
 
@@ -56,7 +55,6 @@ class Packages:
         roots: other folders that may be packages or contain packages.
         given: package -> folder, from the command line.
         declared: package -> folder, from ``twin.yaml``.
-        environment: environment variables.
         found: packages found so far: name -> package.
         renamed: beginning of a reference that names no package of this machine -> the package that
             it was taken for.
@@ -74,7 +72,6 @@ class Packages:
         """Find the folder of a package; None if it is not found.
 
         Args:
-            name: name of the package.
             file: path of the referenced file in the package.
         """
         first: FoundPackage | None = None

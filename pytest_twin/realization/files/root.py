@@ -28,7 +28,6 @@ class Folder:
     """A folder above a model.
 
     Attributes:
-        path: the folder.
         mark: kind of boundary: a ROS package (``package.xml``), a version-controlled checkout, or
             a source that ``pytest-twin intake`` keeps; None for an ordinary folder.
         is_shared: whether it contains files of other projects or people.
@@ -44,7 +43,6 @@ class ModelRoot:
     """The folder that contains all files of a model.
 
     Attributes:
-        folder: the folder.
         why: the rule that chose it, as text.
     """
 

@@ -106,7 +106,6 @@ class UrdfFiles:
 
         Args:
             reference: the reference as written.
-            at: the URDF file.
             line, where: place in the URDF, for errors.
 
         Raises:
