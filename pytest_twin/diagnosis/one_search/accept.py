@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from pytest_twin.diagnosis.one_search.model import Model
+from pytest_twin.diagnosis.one_search.model import Acceptance, Model
 from pytest_twin.diagnosis.one_search.settings import SETTINGS, SearchSettings
 from pytest_twin.estimation.comparison import Comparison
-
-
-@dataclass(frozen=True, slots=True)
-class Acceptance:
-    """Whether a model replaces another one, and why, for the reader."""
-
-    is_accepted: bool
-    reason: str
 
 
 def accepts(

@@ -90,6 +90,14 @@ def _score(comparison: Comparison, model: Model) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class Acceptance:
+    """Whether a model replaces another one, and why, for the reader."""
+
+    is_accepted: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class PooledModel:
     """What the pool keeps of a model.
 

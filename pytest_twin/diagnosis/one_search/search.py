@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.one_search.accept import Acceptance, accepts
+from pytest_twin.diagnosis.one_search.accept import accepts
 from pytest_twin.diagnosis.one_search.fit import fit_along_motion, with_linearized_jacobians
-from pytest_twin.diagnosis.one_search.model import Model, Pool
+from pytest_twin.diagnosis.one_search.model import Acceptance, Model, Pool
 from pytest_twin.diagnosis.one_search.neighbours import (
     Neighbour,
     Quota,

@@ -17,8 +17,7 @@ from pytest_twin.diagnosis.friction_constraint import (
 from pytest_twin.diagnosis.integrator_detection import adopt_simulation_step, describe_integrator
 from pytest_twin.diagnosis.intervals import parameter_uncertainty
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.one_search.accept import Acceptance
-from pytest_twin.diagnosis.one_search.model import Model
+from pytest_twin.diagnosis.one_search.model import Acceptance, Model
 from pytest_twin.diagnosis.one_search.physics import SimulatedPhysics
 from pytest_twin.diagnosis.one_search.posterior import Posterior, best_named, posterior
 from pytest_twin.diagnosis.one_search.report_rules import rejections
