@@ -122,6 +122,22 @@ def test_a_limit_selects_a_prefix_of_the_incumbents(seed: int) -> None:
         assert found.incumbents == whole.incumbents[: len(found.incumbents)]
 
 
+def test_an_earlier_answer_is_the_result_where_no_time_is_left_to_fit_it() -> None:
+    truth = drawn_truth(0, 2)
+    physics = drawn_physics(0, truth=truth)
+    whole = searched(physics)
+    search = Search(physics)
+    earlier = search.simulated(whole.incumbent.hypothesis)
+
+    def stop(count: int) -> None:
+        raise OutOfTime
+
+    physics.before_simulation = stop
+    found = search.run(earlier)
+    assert not found.is_complete
+    assert terms_of(found) == set(truth)
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_stopped_search_is_no_surer_of_a_wrong_effect(seed: int) -> None:
     truth = drawn_truth(seed, 2)

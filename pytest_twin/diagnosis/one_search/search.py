@@ -92,18 +92,18 @@ class Search:
         self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
         self.pool.add(self.nominal)
 
-    def run(self, start: Hypothesis = EMPTY, rounds: int | None = None) -> SearchResult:
+    def run(self, start: Model | None = None, rounds: int | None = None) -> SearchResult:
         """Search until no proposal is accepted, or until a limit ends it.
 
         Args:
-            start: hypothesis that the nominal model is compared with first.
+            start: model of :meth:`simulated` that the nominal model is compared with first. It is
+                the result where a limit ends the search before its fit.
             rounds: largest number of rounds; that of the settings by default.
         """
         incumbent, scores, is_complete = self.nominal, [self.nominal.score], False
         try:
-            if start.terms:
-                started = self._accept_fitted(self._simulate_one(start), incumbent)
-                incumbent = started or incumbent
+            if start is not None:
+                incumbent = self._accept_fitted(start, incumbent) or incumbent
                 scores.append(incumbent.score)
             for _ in range(self.settings.rounds if rounds is None else rounds):
                 self.check()
@@ -298,9 +298,10 @@ class Search:
         self.pool.add(fitted)
         return fitted if self._decide(fitted, incumbent).is_accepted else None
 
-    def _simulate_one(self, hypothesis: Hypothesis) -> Model:
+    def simulated(self, hypothesis: Hypothesis) -> Model:
+        """A hypothesis of an earlier answer, simulated."""
         (residual,) = self.physics.simulate([hypothesis], hypothesis)
-        return self._model(hypothesis, residual, "first answer", hypothesis)
+        return self._model(hypothesis, residual, "earlier answer", hypothesis)
 
     def _simulate(
         self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis, origin: str

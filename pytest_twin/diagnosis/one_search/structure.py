@@ -193,8 +193,10 @@ def _search(physics: SimulatedPhysics, run: Run, stage: str, start: Hypothesis) 
     run.begin(stage, physics.problem)
     with run.budget.reserved():
         search = Search(physics, listener=_tracer(physics.problem, run), check=lambda: _check(run))
+        # What an earlier search found is the result if no time is left to fit it here.
+        earlier = search.simulated(start) if start.terms else None
     with run.budget.searching():
-        return search.run(start)
+        return search.run(earlier)
 
 
 def _check(run: Run) -> None:
