@@ -17,7 +17,8 @@ stimulus: {duration: 0.1 s}
 tolerance: {angle: 1 mrad, settling_time: 1 s, energy_growth: 1 J, penetration: 1 mm}
 """
 NOT_AUDITED = (
-    "not audited: no golden of kind asset checks the model's file; pytest --twin-update adds one"
+    "not audited: no golden of kind asset checks the model's file; pytest --twin-update adds one "
+    "for a URDF, MJCF or USD file"
 )
 THIN = "thin: * goldens, and none compares motion over time with a record (*settling*)"
 
