@@ -111,6 +111,7 @@ def _runs(check: Check, spec: Spec, realization: Realization, friction: float | 
         return True
     return (
         values["friction"] is not None
+        and values["penetration"] is not None
         and abs(values["declared_friction"] - friction) <= _FRICTION_ROUNDING
     )
 
@@ -208,7 +209,12 @@ def _slide_over(surface: _Surface, pose: Mapping[str, Any], start: Mapping[str, 
             "object": {**_BALL, **start},
         },
         "stimulus": {**_ON_A_LINK, "slide": push, **pose},
-        "tolerance": {"onset_time": "5 ms", "position": "1 mm", "friction": "2 %"},
+        "tolerance": {
+            "onset_time": "5 ms",
+            "position": "1 mm",
+            "penetration": "0.1 mm",
+            "friction": "2 %",
+        },
     }
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import importlib.util
 import marshal
 import re
 import sys
 from pathlib import Path
-from types import CodeType
 
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.paths import read_bytes
@@ -22,16 +20,20 @@ _OF_A_PYTHON = re.compile(r"(cpython|pypy|graalpy)-?\d")
 
 
 def caches_of(source: Path) -> list[Path]:
-    """Caches of a module's source that this Python, or pytest in it, may run."""
+    """Caches of a module's source that this Python may run.
+
+    Those of pytest, which rewrites assertions, are left out: nothing public makes them again.
+    """
     folder = source.parent / "__pycache__"
-    return sorted(folder.glob(f"{source.stem}.{sys.implementation.cache_tag}*.pyc"))
+    caches = folder.glob(f"{source.stem}.{sys.implementation.cache_tag}*.pyc")
+    return sorted(cache for cache in caches if "-pytest-" not in cache.name)
 
 
 def is_of_its_source(cache: Path) -> bool:
     """Whether a file in ``__pycache__`` changes nothing: Python would make the same of the source.
 
     This is also so if the cache is of another version of Python, or of an earlier source: neither
-    is run.
+    is run. It is not known of a cache of pytest, which rewrites assertions: False.
     """
     tag = cache.name.partition(".")[2].removesuffix(".pyc")
     if cache.suffix != ".pyc" or not _OF_A_PYTHON.match(tag):
@@ -45,7 +47,9 @@ def is_of_its_source(cache: Path) -> bool:
             return True
         # Python has read this file in the same way, if it has run it.
         code = marshal.loads(compiled[_HEADER_BYTES:])
-        return bool(code in _compiled(text, source, tag))
+        level = int(tag.rpartition(".opt-")[2]) if ".opt-" in tag else 0
+        plain = compile(text, str(source), "exec", dont_inherit=True, optimize=level)
+        return bool(code == plain)
     except (TwinError, OSError, ValueError, EOFError, TypeError, SyntaxError):
         return False
 
@@ -61,16 +65,3 @@ def _is_run(compiled: bytes, source: Path, text: bytes) -> bool:
     stat = source.stat()
     words = (int(stat.st_mtime) & 0xFFFFFFFF, stat.st_size & 0xFFFFFFFF)
     return compiled[8:_HEADER_BYTES] == b"".join(word.to_bytes(4, "little") for word in words)
-
-
-def _compiled(text: bytes, source: Path, tag: str) -> list[CodeType]:
-    """The code of a source, as Python or pytest's assertion rewriting compiles it."""
-    if "-pytest-" not in tag:
-        level = tag.rpartition(".opt-")[2] if ".opt-" in tag else "0"
-        return [compile(text, str(source), "exec", dont_inherit=True, optimize=int(level))]
-    # pytest has no public name for this. Without it such a cache counts as another code.
-    from _pytest.assertion.rewrite import rewrite_asserts
-
-    tree = ast.parse(text, filename=str(source))
-    rewrite_asserts(tree, text, str(source), None)
-    return [compile(tree, str(source), "exec", dont_inherit=True)]

@@ -447,7 +447,7 @@ def test_for_an_arm_alone_a_ball_pushed_over_its_link_is_proposed(tmp_path: Path
     assert first["name"] == "slide_over_link"
     golden, trace = recorded(CHECK, first, robot)
     measures = measures_on(CHECK, golden, trace, robot)
-    assert set(measures) == {"onset_time", "position", "friction"}
+    assert set(measures) == {"onset_time", "position", "penetration", "friction"}
     assert failed(measures) == set()
 
 
