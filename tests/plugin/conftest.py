@@ -5,21 +5,34 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import coal
 import h5py
+import matplotlib.pyplot
+import mujoco
 import onnx
+import pinocchio
 import pytest
+from in_process import InProcess
 from securesystemslib.signer import CryptoSigner
 
 # Imported here once: pytester unloads modules imported by an inner run, and extension modules
 # such as libyaml's cannot be imported twice.
 from pytest_twin.checks import check_of, kinds
+from pytest_twin.gate import runner, worker
 
 for _kind in kinds():
     check_of(_kind)
 assert CryptoSigner.generate_ed25519().private_bytes
+assert coal.CollisionObject
+assert matplotlib.pyplot.figure
+assert mujoco.MjModel
+assert pinocchio.Model
 assert onnx.ModelProto
+assert worker.run_golden
 assert h5py.File
 
 MODEL = """\
@@ -133,6 +146,27 @@ class TwinFolder:
     def releases(self) -> list[str]:
         folder = self.root / "releases"
         return sorted(path.name for path in folder.glob("[0-9]*")) if folder.is_dir() else []
+
+
+class GateInProcess(InProcess):
+    """Forgets the models that it loaded when its run ends, as a child does."""
+
+    def __init__(self, **bounds: Any) -> None:
+        super().__init__(**bounds)
+        for kept in vars(worker).values():
+            if hasattr(kept, "cache_clear"):
+                kept.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def gate_in_process() -> Iterator[None]:
+    """The gate runs goldens in this process, because the start of its child takes 1 to 2 s.
+
+    The child is tested in modules without this fixture.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "Sandbox", GateInProcess)
+        yield
 
 
 def _environment(monkeypatch: pytest.MonkeyPatch, home: Path) -> None:

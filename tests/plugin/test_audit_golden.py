@@ -9,6 +9,8 @@ import pytest
 from pytest_twin.cli import main
 from pytest_twin.outcome import Outcome
 
+pytestmark = pytest.mark.usefixtures("gate_in_process")
+
 AUDITED = "name: arm\nmodel: arm.xml\ntcp: tcp\n"
 SETTLE = """\
 schema: 1

@@ -10,6 +10,8 @@ import pytest
 from pytest_twin.errors import SpecError
 from pytest_twin.twin import load_twin
 
+pytestmark = pytest.mark.usefixtures("gate_in_process")
+
 WARP_CACHE = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache/warp")
 BOTH = "authority: [{realization: light, kinds: [mass_properties]}]\n"
 

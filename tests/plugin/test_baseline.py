@@ -5,6 +5,10 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.usefixtures("gate_in_process")
+
 
 def test_with_a_damaged_release_all_goldens_run_and_a_warning_is_printed(released) -> None:
     path = released.root / "releases" / "0001" / "results.json"

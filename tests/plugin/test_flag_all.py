@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
+pytestmark = pytest.mark.usefixtures("gate_in_process")
+
 
 def test_all_goldens_run(released) -> None:
     released.run("--twin-all").assert_outcomes(passed=2)

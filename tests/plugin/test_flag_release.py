@@ -10,6 +10,8 @@ import pytest
 from pytest_twin.gate.specs import UNWRITTEN
 from pytest_twin.session.selection import selected_by
 
+pytestmark = pytest.mark.usefixtures("gate_in_process")
+
 SETTLE = """\
 schema: 1
 kind: settling

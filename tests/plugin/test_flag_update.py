@@ -8,6 +8,8 @@ import pytest
 
 from pytest_twin.formats.yaml import load
 
+pytestmark = pytest.mark.usefixtures("gate_in_process")
+
 
 def test_update_records_values_trace_and_provenance(twin) -> None:
     twin.write(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("gate_in_process")
+
 
 def test_why_names_the_changed_part_with_old_and_new_value(released) -> None:
     released.edit("arm.xml", 'mass="0.6"', 'mass="0.7"')
