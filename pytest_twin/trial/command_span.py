@@ -23,10 +23,11 @@ _LEAST_SAMPLES = 10
 def within_commands(trial: Trial) -> Trial:
     """Return the part of a trial in which the commands of all moving joints are known.
 
-    A joint that rests before its first command is taken to be held by it. If it moves, its commands
-    are not recorded, and the trial begins at the first one. After its last command of a regular
-    stream, a joint under position commands settles. If it still moves in the second half of that
-    time, the trial ends at the last command. In other cases the last command holds.
+    A joint that rests at its first command is taken to be held by it until then. If it moves, or
+    rests elsewhere, its commands are not recorded, and the trial begins at the first one. After its
+    last command of a regular stream, a joint under position commands settles. If it still moves in
+    the second half of that time, the trial ends at the last command. In other cases the last
+    command holds.
     """
     if len(trial.time) < 2 * _LEAST_SAMPLES:
         return trial
@@ -39,6 +40,13 @@ def within_commands(trial: Trial) -> Trial:
         position = trial.position[:, trial.joints.index(joint)]
         before = trial.time < times[0]
         moved = _span(position[before])
+        away = _away_from(position[before], trial.command[:, column], trial.command_modes[column])
+        if moved <= MOVES < away:
+            begin = max(begin, float(times[0]))
+            notes.append(
+                f"{joint!r} rests {away:.3g} rad or m away from its first command, at "
+                f"{times[0]:.4g} s"
+            )
         if moved > MOVES:
             begin = max(begin, float(times[0]))
             notes.append(
@@ -76,6 +84,14 @@ def _own_times(trial: Trial, column: int) -> FloatArray:
 def _span(position: FloatArray) -> float:
     measured = position[np.isfinite(position)]
     return float(np.ptp(measured)) if len(measured) >= _LEAST_SAMPLES else 0.0
+
+
+def _away_from(position: FloatArray, command: FloatArray, mode: CommandMode) -> float:
+    """Distance of a resting joint from its first position command, rad or m; 0 if not known."""
+    measured = position[np.isfinite(position)]
+    if mode != "position" or len(measured) < _LEAST_SAMPLES:
+        return 0.0
+    return abs(float(np.median(measured)) - float(command[0]))
 
 
 def _is_stream(times: FloatArray, end: float) -> bool:

@@ -8,10 +8,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from replay_trials import ARM, series
+from replay_trials import ARM, recording, series
 
 from pytest_twin import cli
 from pytest_twin.formats.mcap import write_recording
+from pytest_twin.trial import make_trials
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 JOINTS = ("shoulder", "elbow")
@@ -158,3 +159,26 @@ def test_commands_that_no_actuator_takes_are_refused_with_the_recording(
     error = capsys.readouterr().err
     assert "log.mcap: no actuator of joint 'shoulder' takes effort commands" in error
     assert "its actuator takes position'; expected a model with a motor there, or" in error
+
+
+def test_a_joint_that_rests_away_from_its_late_first_command_is_replayed_from_it() -> None:
+    """Held from the begin on, the first command would move the model before the robot moved."""
+    time = np.arange(300) * 0.01
+    command_time = 1.0 + np.arange(200) * 0.01
+    position = np.where(time < 1.0, 0.0, 0.5 * (1.0 - np.exp(-8.0 * (time - 1.0))))
+    parts = make_trials(
+        recording(
+            series("/joint_states", ("x",), time, position=position),
+            series("/joint_commands", ("x",), command_time, position=np.full(200, 0.5)),
+        )
+    )
+    (part,) = parts
+    assert part.offset == pytest.approx(1.0)
+    assert "'x' rests 0.5 rad or m away from its first command, at 1 s" in " ".join(part.notes)
+    held = make_trials(
+        recording(
+            series("/joint_states", ("x",), time, position=position + 0.499),
+            series("/joint_commands", ("x",), command_time, position=np.full(200, 0.5)),
+        )
+    )
+    assert held[0].offset == 0.0
