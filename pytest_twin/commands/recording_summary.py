@@ -15,6 +15,7 @@ from pytest_twin.formats.recordings.candidates import describe, pairs, topics_op
 from pytest_twin.formats.ros_serialization import QUANTITIES, Integers
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import make_trials
+from pytest_twin.trial.marks import describe_marks, marks_to_json
 from pytest_twin.words import join_words
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ _GAP_INTERVALS = 4.0
 _DATES_NS = 10**18
 _PAIRS = 4
 """Largest number of proposed pairs of topics."""
+_SAID_BEFORE = ("damage", "gap", "duplicate_stamp", "unordered_stamp")
+"""Kinds of marks that the lines about the file and its series state."""
 
 
 def survey(
@@ -68,6 +71,7 @@ def survey(
                     "source": trials[0].between_source,
                 },
                 "base_moves": trials[0].base is not None,
+                "marks": marks_to_json(trials),
             }
             notes = list(dict.fromkeys(note for trial in trials for note in trial.notes))
             advice = _advice(recording)
@@ -258,6 +262,7 @@ def in_words(
     in_parts = "" if parts == 1 else f", in {parts} parts between gaps"
     what = "replay" if usable["base_moves"] else "diagnosis"
     seconds = sum(trial["duration"] for trial in usable["trials"])
+    lines += describe_marks(m for m in usable["marks"] if m["kind"] not in _SAID_BEFORE)
     lines.append(
         f"A {what} can use {seconds:.4g} s of it{in_parts}: "
         f"{join_words(modes)} commands of {', '.join(usable['command_modes'])}, "

@@ -29,6 +29,7 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report import replay as page
 from pytest_twin.trial import at_command_stamps, make_trials, recording_at
 from pytest_twin.trial.command_field import refuse_unfit_modes
+from pytest_twin.trial.marks import describe_marks, marks_to_json
 from pytest_twin.trial.stream_checks import note_on_start_in_motion
 
 HELP = "simulate a model under a recording's commands, open loop, and write the predicted states"
@@ -192,18 +193,7 @@ def replay_file(
             lambda at: predicted_positions(parts[at]),
         ),
         "parts": [{"start": t.offset, "end": t.offset + t.duration} for t in replayed],
-        "marks": [
-            {
-                "kind": mark.kind,
-                "topic": mark.topic,
-                "joint": mark.joint,
-                "start": t.offset + mark.start,
-                "end": t.offset + mark.end,
-                "text": mark.text,
-            }
-            for t in trials
-            for mark in t.marks
-        ],
+        "marks": marks_to_json(trials),
         "notes": [
             *(note for t in trials for note in t.notes),
             *(note for t in trials for note in note_on_start_in_motion(t)),
@@ -251,15 +241,7 @@ def _words(summary: Mapping[str, Any]) -> str:
             for axis, unit in one["unit"].items()
         )
         lines.append(f"  {name}: rms {', '.join(channels)}")
-    kinds: dict[str, int] = {}
-    for mark in summary["marks"]:
-        kinds[mark["kind"]] = kinds.get(mark["kind"], 0) + 1
-        damage = f"  damaged: {mark['text']}"
-        if mark["kind"] == "damage" and damage not in lines:
-            lines.append(damage)
-    if kinds:
-        said = ", ".join(f"{kind} {count}" for kind, count in kinds.items())
-        lines.append(f"  doubtful stretches of the recording, all kept: {said}")
+    lines += [f"  {line}" for line in describe_marks(summary["marks"])]
     lines += [f"  note: {note}" for note in summary["notes"]]
     # Names and notes come from files and may contain terminal escape sequences.
     return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)

@@ -303,6 +303,28 @@ def test_show_writes_gaps_rates_and_advice_as_json(
     assert one["missing"] == []
 
 
+def test_show_and_replay_say_which_samples_are_doubtful(
+    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    position = recording.series["state"].position
+    assert position is not None
+    position[70, 1] += 0.5
+    position[80:, 0] = position[80, 0]
+    (tmp_path / "arm.xml").write_text(ARM)
+    model, log = str(tmp_path / "arm.xml"), as_csv(recording, tmp_path / "log.csv")
+    assert cli.main(["show", model, str(log)]) == 0
+    of_show = capsys.readouterr().out
+    assert cli.main(["replay", model, str(log), "--out", str(tmp_path / "out.mcap")]) == 0
+    of_replay = capsys.readouterr().out
+    for line in (
+        "doubtful (outlier), kept: elbow off the line of neighbours in 1 message at 0.7 s\n",
+        f"doubtful (stuck), kept: shoulder stays at {position[80, 0]:.6g} rad while its command "
+        "moves at 0.8 s\n",
+    ):
+        assert line in of_show
+        assert line in of_replay
+
+
 def test_show_lists_the_episodes_of_a_data_set(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
