@@ -28,7 +28,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "concealed"))
 
-from family_score import SURE, first_right, intervals, removed, sure
+from family_score import SURE, intervals, is_effect, removed, sure
 from family_score import Answer as Scored
 
 from frozen.answer import Answer
@@ -72,7 +72,12 @@ class Judged:
             return None
         scored = self.scored
         if scored.hidden:
-            return first_right(scored)
+            # Of equally large effects either may be first.
+            largest = scored.hidden[0]["visibility"]
+            first = scored.findings[:1]
+            return any(
+                is_effect(f, e) for f in first for e in scored.hidden if e["visibility"] == largest
+            )
         return None if self.truth["effects"] else not scored.findings
 
     @property
