@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.conclusion import ChosenModel
 from pytest_twin.diagnosis.first_answer import hypothesis_of
 from pytest_twin.diagnosis.friction_constraint import (
@@ -23,9 +24,10 @@ from pytest_twin.diagnosis.one_search.posterior import Posterior, best_named, po
 from pytest_twin.diagnosis.one_search.report_rules import rejections
 from pytest_twin.diagnosis.one_search.search import Search
 from pytest_twin.diagnosis.one_search.search import SearchResult as PooledSearch
+from pytest_twin.diagnosis.one_search.settings import SETTINGS
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.native import mjcf_expresses
-from pytest_twin.diagnosis.prepare import PreparedProblem
+from pytest_twin.diagnosis.prepare import NOISE, PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run, ScoredHypothesis
 from pytest_twin.diagnosis.search.noise_levels import label
@@ -51,6 +53,8 @@ from pytest_twin.recording_options import CommandBetween
 
 _LAST_ITERATIONS = 8
 """Iterations of the last fit; one that has converged stops earlier."""
+_SMALLEST_NOISE = 1e-9
+"""Smallest noise of a position, rad or m."""
 _LOWER_FLOORS = 2
 """Largest number of searches with a lower noise floor."""
 _WINDOWS_NOTE = (
@@ -159,7 +163,50 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> PooledSearch:
             physics.setup, lower, physics.trials, physics.possible, between=physics.between
         )
         found = _search(lowered, run, "whole recordings, lower noise floor", best)
-    return found
+    return _with_time_step(found, run)
+
+
+def _with_time_step(found: PooledSearch, run: Run) -> PooledSearch:
+    """The search with the time step of a simulation that made the recordings, if there is one.
+
+    The noise floor contains the discretization error that a simulation's recordings do not have, so
+    that a wrong damping is at the floor too. Time steps are compared by the sensor noise alone.
+
+    Args:
+        found: the search with the correction of the discretization error.
+        run: the running diagnosis.
+    """
+    physics, incumbent = found.physics, found.incumbent
+    assert isinstance(physics, SimulatedPhysics)
+    if not incumbent.hypothesis.terms or not found.is_complete:
+        return found
+    noise = np.maximum(physics.prepared.floor_parts[NOISE], _SMALLEST_NOISE)
+    count = found.comparison.independent[: len(noise)]
+
+    def evidence(residual: FloatArray) -> float:
+        level = np.mean(residual[:, : len(noise)] ** 2, axis=0) / noise**2
+        return float(-0.5 * np.sum(count * np.log(np.maximum(level, 1.0))))
+
+    best, most = None, evidence(incumbent.residual) + SETTINGS.earns
+    try:
+        with run.budget.searching():
+            for other in physics.other_settings(incumbent.hypothesis, is_explained=False):
+                assert isinstance(other, SimulatedPhysics)
+                if other.setup.substeps == physics.setup.substeps:
+                    continue
+                start = incumbent.hypothesis
+                hypothesis, residual, _ = other.fit(start, incumbent.residual, 3, start)
+                if (value := evidence(residual)) > most:
+                    best, most = (other, hypothesis), value
+    except OutOfTime:
+        return found
+    if best is None:
+        return found
+    other, hypothesis = best
+    simulation = SimulatedPhysics(
+        other.setup, other.prepared, other.trials, other.possible, between=other.between
+    )
+    return _search(simulation, run, "recordings of a simulation", hypothesis)
 
 
 def _followed_windows(
