@@ -108,9 +108,9 @@ def test_an_invalid_budget_section_is_refused_with_one_line(
         ([[1e-6, 2e-6], [2e-6, 1e-6]], "its covariance has a negative eigenvalue"),
         ([[1e-6, 5e-7], [0.0, 1e-6]], "its covariance is not symmetric"),
         ([[-1e-6, 0.0], [0.0, 1e-6]], "its covariance has a negative eigenvalue"),
-        ([[1e-6, 0.0]], "a field is missing or unusable: covariance: not 2 rows"),
-        ([[1e-6], [1e-6]], "a field is missing or unusable: covariance: not 2 numbers"),
-        ([[1e-6, "x"], [0.0, 1e-6]], "is not a finite number"),
+        ([[1e-6, 0.0]], "a field is missing or unusable: covariance: not 2 rows of 2 numbers"),
+        ([[1e-6], [1e-6]], "a field is missing or unusable: covariance: not 2 rows of 2 numbers"),
+        ([[1e-6, "x"], [0.0, 1e-6]], "Expected `float`, got `str` - at `$.covariance[0][1]`"),
     ],
 )
 def test_an_invalid_covariance_is_refused(
