@@ -76,3 +76,11 @@ def test_a_stated_filter_is_the_cutoff_of_the_fit() -> None:
         Signals.from_json({"default": {"effort": {"filter": "as shipped"}}}).of("a").filter_cutoff
         is None
     )
+
+
+def test_slower_recordings_with_abrupt_turns_leave_the_filter_as_it_is() -> None:
+    motion = 0.5 * np.sin(2 * np.pi * 0.5 * TIME)
+    turns = 0.05 * np.abs((0.4 * TIME) % 2.0 - 1.0)
+    alone = choose_filter([recording(motion, motion)])
+    more = choose_filter([recording(motion, motion), *[recording(turns, turns)] * 5])
+    assert more == alone

@@ -90,9 +90,9 @@ class Motion:
 def choose_filter(recordings: Sequence[MeasuredRecording]) -> Filter:
     """Choose one filter for all recordings, from the bandwidth of the fastest joint.
 
-    The velocity's power is that of all recordings together: a joint that is held in some of them
-    trembles there, and this is not the motion to be filtered. A filter that ``signals:`` states
-    takes precedence: regressor and effort are low-passed there.
+    The bandwidth of a joint is that of the recording in which it moves most. In others it may be
+    held and tremble, or turn abruptly: further recordings leave the filter as it is. A filter that
+    ``signals:`` states takes precedence: regressor and effort are low-passed there.
     """
     slowest = min(one.rate for one in recordings)
     stated = [one.filter_cutoff for one in recordings if one.filter_cutoff is not None]
@@ -139,16 +139,20 @@ def decimate(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:
 def _bandwidth(recordings: Sequence[MeasuredRecording]) -> float:
     """Frequency, Hz, below which the velocity of every joint has nearly all of its power."""
     slowest = min(one.rate for one in recordings)
-    spectra = [_power(one) for one in recordings]
-    frequency = np.concatenate([line_frequency for line_frequency, _ in spectra])
-    order = np.argsort(frequency, kind="stable")
-    power = _excited(frequency[order], np.concatenate([lines for _, lines in spectra])[order])
-    summed = np.cumsum(power, axis=0)
-    moved = summed[-1] > 0
-    if not moved.any():
+    most = np.zeros(recordings[0].position.shape[1])
+    ends = np.full(len(most), np.inf)
+    for recording in recordings:
+        frequency, lines = _power(recording)
+        power = _excited(frequency, lines)
+        summed = np.cumsum(power, axis=0)
+        # Lines of a longer recording are closer to one another.
+        strength = summed[-1] * frequency[1]
+        share = summed / np.maximum(summed[-1], 1e-300)
+        end = frequency[np.argmax(share > _MOTION_SHARE, axis=0)]
+        ends = np.where(strength > most, end, ends)
+        most = np.maximum(strength, most)
+    if not most.any():
         return slowest / 10.0
-    share = summed[:, moved] / summed[-1, moved]
-    ends = frequency[order][np.argmax(share > _MOTION_SHARE, axis=0)]
     # A joint with as much noise as motion is not used.
     sound = ends < slowest / 10.0
     return float(ends[sound].max()) if sound.any() else slowest / 50.0
