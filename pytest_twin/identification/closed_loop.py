@@ -29,6 +29,9 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.time_limit import skips
 from pytest_twin.trial import Trial, make_trials, recordings_at
 
+_SOLVED = 0.05
+"""Share of the nominal position error below which servos with late commands leave nothing that a
+search of further effects, which takes a minute for a joint, could find."""
 _EXCLUDES = "nothing is fitted here: all accepted parameters together are simulated"
 
 
@@ -65,6 +68,13 @@ class ClosedLoop:
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     drives: DriveEffects | None = None
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def is_solved_by_delays(self) -> bool:
+        """Whether late commands explain nearly all of the nominal position error."""
+        held_out = self.stage.held_out
+        late = any(".command_delay" in name for name in self.parameters)
+        return late and held_out is not None and held_out.after < _SOLVED * held_out.before
 
     def has_larger_error_than(self, other: ClosedLoop) -> bool:
         """Whether the other model has a smaller simulated position error."""
@@ -115,7 +125,8 @@ def close_loop(
                 "servo gains from effort and tracking error are not kept, because they do not "
                 f"lower the simulated position error: {words}"
             )
-    if recordings is not None and not skips("effects of drives, by simulation"):
+    searched = recordings is not None and not best.is_solved_by_delays
+    if recordings is not None and searched and not skips("effects of drives, by simulation"):
         base = plain
         if recordings.known:
             aside = _new_folder(folder, "known_servos")

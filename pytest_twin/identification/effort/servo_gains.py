@@ -227,11 +227,13 @@ def _fit_gains(
             break
         delay += shift
     law = problem.matrix[:, 0] @ solution.values
-    rate = float(problem.matrix[problem.known[:, 0], 0, 2].std())
-    # A logged effort may belong to the command before or after its stamp.
-    late = max(abs(lateness) - float(half[2]) - period * stiffness, 0.0) * rate
-    misfit = float(np.hypot(_systematic_deviation(problem, law), late)) / spread
     within_sample = _WITHIN_SAMPLE * period
+    rate = float(problem.matrix[problem.known[:, 0], 0, 2].std())
+    # A logged effort may belong to the command before or after its stamp. What looks like a longer
+    # delay may be a lag.
+    longest = max(abs(lateness), delay * stiffness) - float(half[2])
+    late = max(longest - period * stiffness, 0.0) * rate
+    misfit = float(np.hypot(_systematic_deviation(problem, law), late)) / spread
     return _Fit(
         (stiffness, damping),
         (float(half[0]), float(np.hypot(half[1], within_sample * stiffness))),
