@@ -123,14 +123,17 @@ def run(args: argparse.Namespace) -> int:
         raise SpecError(
             "not a xacro file", path=robot, where="--xacro", expected="a file NAME.xacro"
         )
+    # Refused before anything is written, which would change the source.
+    asset = _asset_of(robot, folder)
     with writing.all_or_nothing(folder):
         inputs = declared_inputs()
         if robot.suffix == SUFFIX:
             robot = _realized(robot, folder, args)
+            asset = _asset_of(robot, folder)
             # The packages are in the asset now.
             inputs = replace(inputs, packages={})
         with declaring(inputs):
-            return _set_up(robot, _asset_of(robot, folder), folder, args)
+            return _set_up(robot, asset, folder, args)
 
 
 def _realized(robot: Path, folder: Path, args: argparse.Namespace) -> Path:

@@ -507,9 +507,10 @@ def test_a_twin_inside_the_source_is_refused(
     intake: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     urdf = intake / "source/arm_description/urdf/arm.urdf"
+    before = sorted(intake.rglob("*"))
     assert main(["init", str(urdf), "--out", str(urdf.parent)]) == 2
     assert "the twin would be inside the source of an asset" in capsys.readouterr().err
-    assert not (urdf.parent / "twin.yaml").exists()
+    assert sorted(intake.rglob("*")) == before
 
 
 def test_a_manifest_with_a_path_outside_the_asset_is_refused(
