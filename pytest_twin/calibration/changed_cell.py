@@ -258,6 +258,11 @@ def _ordered(rows: _Rows, name: str, columns: slice, least_share: float) -> _Can
         columns: its columns.
         least_share: fraction of the squared residuals that the change must remove.
     """
+    if name == "scale":
+        # A prior holds the size of the target near its nominal one, so a wrong size of all rows
+        # remains in the residuals, and a step after the first few rows is nearly that.
+        free_size = np.where((rows.row >= 0)[:, None], rows.slopes[:, columns], 0.0)
+        rows = replace(rows, slopes=np.concatenate([rows.slopes, free_size], axis=1))
     everything = remaining = rows
     for _ in range(_ROUNDS):
         rows = remaining
