@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_twin.formats import typed
-
 RESULTS_WITH_MODELS = ("diagnosis.json", "identification.json")
 """Results of commands that write a fitted model into the folder ``realization`` beside them."""
 
@@ -30,4 +28,7 @@ class Unaffected:
 
 def unaffected_of(data: Mapping[str, Any]) -> tuple[Unaffected, ...]:
     """Return the statements of a validated entry of ``twin.yaml``."""
+    # The plugin imports this module in every project, also in one without a twin.
+    from pytest_twin.formats import typed
+
     return typed.build(data.get("unaffected", ()), tuple[Unaffected, ...])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -248,6 +248,7 @@ def diagnose_files(
     from pytest_twin.diagnosis.run import Run
     from pytest_twin.diagnosis.trace import Step, Trace
     from pytest_twin.diagnosis.trials import read_trials
+    from pytest_twin.diagnosis.unit_check import drop_other_units
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
     from pytest_twin.loaded_model import load_model
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
@@ -272,6 +273,10 @@ def diagnose_files(
         refuse_unfit_modes(loaded.realization.structure, trial)
     if loaded.patched is None:
         refuse_other_order(loaded.realization, trials.fit)
+    # The first answer would explain degrees by physics.
+    other_units: list[str] = []
+    trials = drop_other_units(loaded.realization, trials, other_units)
+    trials = replace(trials, notes=(*trials.notes, *other_units))
 
     def say_state(step: Step) -> None:
         first = [f"{effect.place[0]} (first answer)" for effect in diagnosis_run.first_answer]

@@ -16,6 +16,7 @@ class LocateSettings:
         window: s over which the squared error is smoothed.
         merge: s between two windows up to which they are one.
         cover: share of the squared error that the windows contain.
+        most_windows: largest number of windows that a report lists.
         touching: largest distance to a surface of the model that is treated as contact, m.
         still: share of the largest speed below which a joint is at rest.
         lift: factor by which a regime's share of the error must exceed its share of the time.

@@ -86,7 +86,7 @@ def test_the_cache_depends_on_all_code_that_reads_a_model() -> None:
         "print(*(m.__file__ for n, m in sys.modules.items() if n.startswith(prefixes)), sep='\\n')"
     )
     result = subprocess.run(
-        [sys.executable, "-c", script], check=True, timeout=60, capture_output=True, text=True
+        [sys.executable, "-P", "-c", script], check=True, timeout=60, capture_output=True, text=True
     )
     files = set(map(Path, result.stdout.split("\n")[:-1]))
     assert {"reading.py", "dependency.py"} <= {path.name for path in files}

@@ -46,7 +46,7 @@ class Bench:
         (folder / "pend.xml").write_text(MODEL)
         self.loaded = load_model(folder / "pend.xml")
         (folder / "robot.xml").write_text(MODEL.replace('timestep="0.002"', 'timestep="0.0001"'))
-        whole = make_trial(read_recording(self.write_recording_with_gaps("whole.mcap", SENT)))
+        whole = make_trial(read_recording(self.write_recording_with_gaps("whole.mcap", 0.9 * SENT)))
         (simulated,) = replay(load(folder / "robot.xml"), [whole])
         noise = 1e-4 * np.random.default_rng(1).standard_normal(len(TIME))
         self.seen = simulated.position[:, 0] + noise

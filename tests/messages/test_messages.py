@@ -129,9 +129,10 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         twin(lambda root: (root / "twin.yaml").write_text("model: arm.xml\ntpc: link\n")),
         "ARM/twin.yaml:2: tpc: is not a known field (expected one of schema, name, model, "
         "realizations, source, edited, roots, topics, joints, command_mode, columns, units, "
-        "time_unit, clock, base, command_between, controller_period, signals, controllers, payloads, "
-        "calibration, calibrations, fit, excitation, parts, tcp, accepted_findings, retired, release, "
-        "authority, fresh, residual, update, shadow, budget, ranges; did you mean 'topics'?)",
+        "time_unit, clock, base, command_between, controller_period, signals, controllers, "
+        "payloads, calibration, calibrations, fit, excitation, parts, tcp, accepted_findings, "
+        "retired, release, authority, fresh, residual, update, shadow, budget, ranges; did you "
+        "mean 'topics'?)",
     ),
     (
         "twin.yaml that is no YAML",
