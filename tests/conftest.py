@@ -28,7 +28,7 @@ def commands_in_process() -> Iterator[None]:
     and in modules without this fixture.
     """
     with pytest.MonkeyPatch.context() as patch:
-        for name in COMMANDS:
+        for name in (*COMMANDS, "child_result"):
             command = importlib.import_module(f"pytest_twin.commands.{name}")
             if hasattr(command, "Sandbox"):
                 patch.setattr(command, "Sandbox", InProcess)

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
-from pytest_twin.commands.time_limit import add_seconds, wall_limit
+from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
 from pytest_twin.interrupts import StopRequest
-from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import calibration
 from pytest_twin.words import counted
 
@@ -110,10 +110,7 @@ def calibrate_into(
     """
     if not plan.is_file():
         raise PathError("no such file", path=plan, expected="a calibration plan (.yaml)")
-    with (
-        results.result_folder(out, FILE_NAME) as staging,
-        Sandbox(seconds=wall_limit(seconds), stop=stop) as sandbox,
-    ):
+    with child_result(out, FILE_NAME, seconds, stop) as (staging, sandbox):
         document = sandbox.call(
             "pytest_twin.calibration.calibrate:calibrate_file",
             {

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_twin.commands import fleet, json_output, model_files
+from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
@@ -17,15 +18,12 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.terminal import show
-from pytest_twin.commands.time_limit import add_seconds, wall_limit
+from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.errors import TwinError
-from pytest_twin.formats import results
-from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
 from pytest_twin.processor_time import call_began
-from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
 
@@ -174,18 +172,14 @@ def diagnose_into(
     Raises:
         TwinError: the input cannot be used.
     """
-    found = find_model(model)
-    with (
-        results.result_folder(out, DIAGNOSIS_FILE, alone=True) as staging,
-        # The simulator writes its log to the working folder, so use one that is deleted.
-        temporary_folder() as scratch,
-        Sandbox(seconds=wall_limit(arguments["seconds"]), cwd=scratch, stop=stop) as sandbox,
-    ):
+    model_file = find_model(model)
+    seconds = arguments["seconds"]
+    with child_result(out, DIAGNOSIS_FILE, seconds, stop, alone=True) as (staging, sandbox):
         summary: dict[str, Any] = sandbox.call(
             "pytest_twin.commands.diagnose:diagnose_files",
             {
                 "request": {
-                    "model": str(found),
+                    "model": str(model_file),
                     "recordings": [str(r.absolute()) for r in recordings],
                     "held_out": [str(r.absolute()) for r in held_out],
                     "out": str(staging),

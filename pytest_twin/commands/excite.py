@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
-from pytest_twin.commands.time_limit import add_seconds, wall_limit
-from pytest_twin.formats import atomic, results
+from pytest_twin.commands.time_limit import add_seconds
+from pytest_twin.formats import atomic
 from pytest_twin.loaded_model import find_model
-from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import excitation
 from pytest_twin.report.text import printable
 from pytest_twin.words import counted, list_names
@@ -67,8 +67,7 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress("designing motions")
     with progress.stopping_early("the safe motions so far are written") as stop:
         with (
-            results.result_folder(out, FILE_NAME) as staging,
-            Sandbox(seconds=wall_limit(args.seconds), stop=stop) as sandbox,
+            child_result(out, FILE_NAME, args.seconds, stop) as (staging, sandbox),
             progress,
         ):
             blank = sandbox.call("pytest_twin.excitation.excite:missing_template", {"model": model})

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
@@ -16,12 +17,10 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.terminal import show
-from pytest_twin.commands.time_limit import add_seconds, wall_limit
-from pytest_twin.formats import atomic, results
-from pytest_twin.formats.temporary import temporary_folder
+from pytest_twin.commands.time_limit import add_seconds
+from pytest_twin.formats import atomic
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
-from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import identification
 from pytest_twin.report.text import printable
 
@@ -193,29 +192,24 @@ def identify_into(
     Raises:
         TwinError: the input cannot be used.
     """
-    found = find_model(model)
-    with (
-        results.result_folder(out, FILE_NAME, alone=True) as staging,
-        # The simulator writes its log to the working folder, so use one that is deleted.
-        temporary_folder() as scratch,
-    ):
-        limit = wall_limit(arguments.get("seconds", 0.0))
-        with Sandbox(seconds=limit, cwd=scratch, stop=stop) as sandbox:
-            document: dict[str, Any] = sandbox.call(
-                "pytest_twin.identification.identify_files:identify_files",
-                {
-                    "request": {
-                        "model": str(found),
-                        "recordings": [str(r.absolute()) for r in recordings],
-                        "held_out": [str(r.absolute()) for r in held_out],
-                        "out": str(staging),
-                        "folder": str(out),
-                        "name": out.name,
-                        **arguments,
-                    }
-                },
-                progress=progress,
-            )
+    model_file = find_model(model)
+    seconds = arguments.get("seconds", 0.0)
+    with child_result(out, FILE_NAME, seconds, stop, alone=True) as (staging, sandbox):
+        document: dict[str, Any] = sandbox.call(
+            "pytest_twin.identification.identify_files:identify_files",
+            {
+                "request": {
+                    "model": str(model_file),
+                    "recordings": [str(r.absolute()) for r in recordings],
+                    "held_out": [str(r.absolute()) for r in held_out],
+                    "out": str(staging),
+                    "folder": str(out),
+                    "name": out.name,
+                    **arguments,
+                }
+            },
+            progress=progress,
+        )
         atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
         atomic.write_text(staging / PAGE_NAME, identification.render(document))
     return document

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -16,10 +17,9 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.release_folder import TWIN_HELP, twin_file
 from pytest_twin.commands.terminal import show
-from pytest_twin.commands.time_limit import add_seconds, wall_limit
-from pytest_twin.formats import atomic, results
+from pytest_twin.commands.time_limit import add_seconds
+from pytest_twin.formats import atomic
 from pytest_twin.ranges.files import write_files
-from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import ranges
 from pytest_twin.report.text import printable
 
@@ -125,8 +125,7 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress("simulating")
     with progress.stopping_early("the ranges so far are written") as stop:
         with (
-            results.result_folder(out, JSON_NAME) as staging,
-            Sandbox(seconds=wall_limit(args.seconds), stop=stop) as sandbox,
+            child_result(out, JSON_NAME, args.seconds, stop) as (staging, sandbox),
             progress,
         ):
             document = sandbox.call(

@@ -17,7 +17,7 @@ from budget_files import declared, fit_record, make_twin, zeros_record
 from in_process import InProcess
 
 from pytest_twin import cli
-from pytest_twin.commands import budget as command
+from pytest_twin.commands import child_result
 from pytest_twin.formats.schema import load_schema
 
 SMALL = [[1e-6, 0.0], [0.0, 1e-6]]
@@ -27,7 +27,7 @@ SMALL = [[1e-6, 0.0], [0.0, 1e-6]]
 def in_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run without a child process to save time, except in one test."""
     if request.function is not test_the_page_and_a_valid_json_file_are_written:
-        monkeypatch.setattr(command, "Sandbox", InProcess)
+        monkeypatch.setattr(child_result, "Sandbox", InProcess)
 
 
 def run_budget(twin: Path, status: int = 0) -> Path:

@@ -17,7 +17,7 @@ from in_process import InProcess
 from ranges_files import MEANS, covariance, make_twin, record, record_motion, true_arm
 
 from pytest_twin import cli
-from pytest_twin.commands import randomize as command
+from pytest_twin.commands import child_result
 from pytest_twin.formats.recordings import read_one
 from pytest_twin.formats.schema import load_schema
 
@@ -26,7 +26,7 @@ from pytest_twin.formats.schema import load_schema
 def in_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run without a child process to save time, except in one test."""
     if request.function is not test_final_recordings_in_the_folder_are_found_and_checked:
-        monkeypatch.setattr(command, "Sandbox", InProcess)
+        monkeypatch.setattr(child_result, "Sandbox", InProcess)
 
 
 def run_randomize(twin: Path, status: int, *words: str) -> Path:
