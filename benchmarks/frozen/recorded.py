@@ -29,12 +29,12 @@ TABLE: Mapping[str, Effects] = {
     "gain": [("controller_gain", "j", {"stiffness_error": 42.0 / 60.0 - 1.0})],
     "backlash": [("backlash", "j", {"gap": 0.03})],
     "torque": [("effort_scale", "j", {"scale_error": 0.35})],
-    "sign": [("encoder_sign", "j", {})],
+    "sign": [("encoder_scale", "j", {"scale_error": -2.0})],
     "ok": [],
 }
-"""Case of one joint -> what its model lacks. The catalogue has no name yet for a reversed sign."""
+"""Case of one joint -> what its model lacks."""
 SAME_ON_ONE_JOINT = {"command_delay": [["sensor_delay", None]]}
-"""Effect -> names that one joint cannot tell from it."""
+"""Effect -> effects, with their joint, that predict the same motion of a robot with one joint."""
 MADE: Mapping[str, Effects] = {
     "interpolated_lag": [("actuator_lag", "j1", {"time_constant": 0.012})],
     "taken_for_a_simulation": [

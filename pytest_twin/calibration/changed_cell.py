@@ -118,9 +118,9 @@ def _quantities(fit: Fit) -> list[tuple[str, slice]]:
     """Poses that may have changed, and the scale of the measured positions, with their columns."""
     layout = fit.problem.layout
     names = [name for name in layout.poses if name.rpartition(".")[2] in ("world", "mounted")]
-    found = [(name, layout.blocks[f"pose:{name}"]) for name in names]
+    poses = [(name, layout.blocks[f"pose:{name}"]) for name in names]
     # A change of the whole set's scale is in the size of the target; here it is that of some rows.
-    return [*found, ("scale", layout.blocks["scale"])] if layout.scale and found else found
+    return [*poses, ("scale", layout.blocks["scale"])] if layout.scale and poses else poses
 
 
 @dataclass(frozen=True)
@@ -198,13 +198,14 @@ def _in_words(problem: CalibrationProblem, change: _Candidate) -> tuple[str, str
 
 def _follows_path(problem: CalibrationProblem, state: State) -> bool:
     """Whether successive poses of the flange are near each other."""
-    places = predicted_poses(problem, state)[:, :3, 3]
-    places = places[np.isfinite(places).all(axis=1)]
-    if len(places) < LEAST_ROWS:
+    positions = predicted_poses(problem, state)[:, :3, 3]
+    positions = positions[np.isfinite(positions).all(axis=1)]
+    count = len(positions)
+    if count < LEAST_ROWS:
         return True
-    successive = np.linalg.norm(np.diff(places, axis=0), axis=1).mean()
-    apart = np.linalg.norm(places[:, None] - places[None], axis=2).sum()
-    return bool(successive < _PATH * apart / (len(places) * (len(places) - 1)))
+    successive = np.linalg.norm(np.diff(positions, axis=0), axis=1).mean()
+    sum_over_pairs = np.linalg.norm(positions[:, None] - positions[None], axis=2).sum()
+    return bool(successive < _PATH * sum_over_pairs / (count * (count - 1)))
 
 
 @dataclass(frozen=True)
@@ -357,7 +358,7 @@ def _agreeing(rows: _Rows, quantities: list[tuple[str, slice]]) -> list[_Candida
     is_theirs = np.isin(rows.row, outliers)
     theirs = rows.only(is_theirs)
     total = float(theirs.residuals @ theirs.residuals)
-    found = []
+    candidates = []
     for name, columns in quantities:
         slopes = theirs.slopes[:, columns]
         step = -_solved(slopes, theirs.residuals)
@@ -366,8 +367,8 @@ def _agreeing(rows: _Rows, quantities: list[tuple[str, slice]]) -> list[_Candida
             continue
         change = is_theirs[:, None] * rows.slopes[:, columns]
         criterion = _robust_criterion(rows, change, np.ones(len(is_theirs), dtype=bool))
-        found.append(_Candidate(name, step, outliers, False, False, criterion))
-    return found
+        candidates.append(_Candidate(name, step, outliers, False, False, criterion))
+    return candidates
 
 
 def _smooth_criterion(rows: _Rows, columns: slice, basis: FloatArray, left: FloatArray) -> float:

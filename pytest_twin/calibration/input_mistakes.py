@@ -69,7 +69,7 @@ def find_mistakes(fit: Fit, of_corners: FreeScale | None = None) -> tuple[InputM
     rows = {int(row) for term in problem.terms for row in term.rows}
     if len(rows) < LEAST_ROWS or not problem.layout.poses:
         return ()
-    found = list(lengths_in_mm(problem))
+    in_millimetres = list(lengths_in_mm(problem))
     now = _errors(problem)
     tried = [
         InputMistake(what, mend, *_errors(problem.with_observations(changed)))
@@ -88,14 +88,14 @@ def find_mistakes(fit: Fit, of_corners: FreeScale | None = None) -> tuple[InputM
     ]
     scale = None
     turned_alike = np.isnan(now[1]) or now[1] < _AS_TURNED_RAD
-    if not good and not found and not problem.plan.has_free_scale and turned_alike:
+    if not good and not in_millimetres and not problem.plan.has_free_scale and turned_alike:
         scale = scale_of(problem, now) or wrong_scale(fit, of_corners)
     if scale is not None:
         good.append(scale)
     if good:
         best = min(one.translation for one in good)
         good = [one for one in good if one.translation <= best / FAR_BETTER]
-    return (*found, *sorted(good, key=lambda one: one.translation))
+    return (*in_millimetres, *sorted(good, key=lambda one: one.translation))
 
 
 def lengths_in_mm(problem: CalibrationProblem) -> tuple[InputMistake, ...]:

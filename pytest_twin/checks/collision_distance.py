@@ -64,8 +64,8 @@ class CollisionDistance(Check):
             {
                 "pairs": array(
                     {**_NAMES_SCHEMA, "maxItems": 2},
-                    "Pairs of bodies or geoms whose distance is compared. A name that both a body "
-                    "and a geom have means the geom.",
+                    "Pairs of bodies or geoms between which the distance is compared. Where a body "
+                    "and a geom have the same name, it is the geom.",
                 ),
                 "disabled": array(
                     table(

@@ -61,12 +61,13 @@ def measured_and_predicted(
         qpos = np.column_stack([
             np.interp(when[inside], trial.time, column) for column in result.qpos.T
         ])  # fmt: skip
-        found = open_loop.frame_poses(realization, qpos, golden.target["tcp"])
+        tool_poses = open_loop.frame_poses(realization, qpos, golden.target["tcp"])
         if parent not in _WORLD:
-            found = _relative_poses(open_loop.frame_poses(realization, qpos, parent), found)
+            parent_poses = open_loop.frame_poses(realization, qpos, parent)
+            tool_poses = _relative_poses(parent_poses, tool_poses)
         values = np.array([poses[k].values for k in inside])
         times.append(trial.offset + when[inside])
-        predicted.append(found)
+        predicted.append(tool_poses)
         measured.append(values[:, [0, 1, 2, 6, 3, 4, 5]])
     if sum(map(len, times)) < _FEWEST:
         raise spec_error(

@@ -73,15 +73,15 @@ def run(args: argparse.Namespace) -> int:
             blank = sandbox.call("pytest_twin.excitation.excite:missing_template", {"model": model})
             if blank["template"]:
                 show(blank["template"])
-            found = sandbox.call(
+            designed = sandbox.call(
                 "pytest_twin.excitation.excite:excite_file",
                 {"model": model, "out": str(staging), "seed": args.seed, "seconds": args.seconds},
                 progress=progress,
             )
-            document, abort = found["document"], found["abort"]
+            document, abort = designed["document"], designed["abort"]
             atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
             atomic.write_text(staging / ABORT_NAME, json.dumps(abort, indent=2) + "\n")
-            page = excitation.render(document, abort, found["drawn"])
+            page = excitation.render(document, abort, designed["drawn"])
             atomic.write_text(staging / PAGE_NAME, page)
         json_output.give(args, document)
         show("\n".join(printable(line) for line in _words(document, out)))

@@ -42,7 +42,7 @@ def expanded(path: Path, args: argparse.Namespace) -> Iterator[Expansion | None]
     """Read a xacro file as the URDF that it expands to, while the context is open.
 
     Args:
-        path: absolute path of a model; any other file is read as it is.
+        path: absolute path of a model; one that is no xacro file is not changed.
 
     Raises:
         TwinError: the file cannot be expanded here, or xacro refuses it.

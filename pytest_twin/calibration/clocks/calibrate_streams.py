@@ -354,12 +354,12 @@ def _joint_covariance(plan: Plan, fit: ClockFit) -> dict[str, Any]:
     """Joint covariance of the offset and both poses, with rotations about the child's axes."""
     around = _adjacent_poses(plan, fit)
     of_poses = [at for place, _ in around.values() for at in range(place.start, place.stop)]
-    kept = [0, *of_poses, *([SCALE] if plan.target_tolerance > 0.0 else [])]
-    turn = np.eye(len(kept))
+    of_records = [0, *of_poses, *([SCALE] if plan.target_tolerance > 0.0 else [])]
+    turn = np.eye(len(of_records))
     turn[1:7, 1:7], turn[7:13, 7:13] = (_about_child(pose) for _, pose in around.values())
     names = [f"pose:camera.{role}.{label}" for role in around for label in _LABELS]
-    names += ["scale.camera"] * (len(kept) - 13)
-    matrix = turn @ fit.covariance[np.ix_(kept, kept)] @ turn.T
+    names += ["scale.camera"] * (len(of_records) - 13)
+    matrix = turn @ fit.covariance[np.ix_(of_records, of_records)] @ turn.T
     return {"of": ["time_offset", *names], "matrix": matrix.tolist()}
 
 

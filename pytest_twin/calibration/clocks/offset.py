@@ -295,8 +295,8 @@ class _Equations:
         # A change of ``world`` equals the opposite change of ``predicted``, about the base's
         # origin.
         to_world = -slope
-        apart = skew(predicted[:, :3, 3] - world[:3, 3])
-        to_world[:, :3, 3:] += world[:3, :3].T @ apart
+        cross_with_arm = skew(predicted[:, :3, 3] - world[:3, 3])
+        to_world[:, :3, 3:] += world[:3, :3].T @ cross_with_arm
         drifted = by_time * (camera.time[inside] - self.middle)[:, None]
         # Positions of the residual are compared in the units of the camera: measured minus scale
         # times predicted. Measured divided by scale would shrink with the noise of the camera.

@@ -45,8 +45,8 @@ class Model:
     def mean_square(self) -> FloatArray:
         """(signals,) mean squared residual; infinite where the simulation diverged."""
         with np.errstate(over="ignore", invalid="ignore"):
-            found: FloatArray = np.mean(self.residual**2, axis=0)
-        return np.where(np.isfinite(found), found, np.inf)
+            mean: FloatArray = np.mean(self.residual**2, axis=0)
+        return np.where(np.isfinite(mean), mean, np.inf)
 
     @property
     def predicted(self) -> FloatArray:

@@ -110,12 +110,12 @@ def best_named(
         is_possible: whether a set may be reported.
     """
     incumbent = found.incumbent
-    own = evidence_of(found.comparison, incumbent.mean_square, incumbent.size)
+    least = _evidence_of_incumbent(found) - _AS_LIKELY
     alike = [
         (rival.size, rival.hypothesis)
         for rival in found.pool.rivals_of(incumbent)
         if rival.is_simulated and not rival.size.is_richer_than(incumbent.size)
-        and rival.evidence >= own - _AS_LIKELY and is_possible(rival.hypothesis)
+        and rival.evidence >= least and is_possible(rival.hypothesis)
     ]  # fmt: skip
     # The incumbent comes first among equals.
     named = min(
@@ -125,13 +125,17 @@ def best_named(
     return named[1]
 
 
+def _evidence_of_incumbent(found: SearchResult) -> float:
+    incumbent = found.incumbent
+    return evidence_of(found.comparison, incumbent.mean_square, incumbent.size)
+
+
 def _log_odds_of(found: SearchResult) -> Callable[[PooledModel], float]:
     """Function that returns the log odds of a rival against the incumbent."""
-    incumbent = found.incumbent
-    own = evidence_of(found.comparison, incumbent.mean_square, incumbent.size)
+    incumbent, of_incumbent = found.incumbent, _evidence_of_incumbent(found)
 
     def log_odds(rival: PooledModel) -> float:
-        value = rival.evidence - own if rival.is_simulated else rival.evidence
+        value = rival.evidence - of_incumbent if rival.is_simulated else rival.evidence
         is_richer = rival.size.is_richer_than(incumbent.size)
         if is_richer:
             # The search has decided that the richer set predicts no better.

@@ -67,14 +67,14 @@ def contains_absence(model: Model, term: Term, uncertainty: ParameterUncertainty
     """
     jacobian = model.jacobian
     assert jacobian is not None
-    place = model.hypothesis.slice_of(term)
-    own = term.amplitude_indices(model.hypothesis.theta[place])
-    which = np.array([place.start + k for k in own])
-    if not np.any(jacobian[:, :, which] != 0.0, axis=(0, 1)).all():
+    parameters = model.hypothesis.slice_of(term)
+    amplitudes = term.amplitude_indices(model.hypothesis.theta[parameters])
+    columns = np.array([parameters.start + k for k in amplitudes])
+    if not np.any(jacobian[:, :, columns] != 0.0, axis=(0, 1)).all():
         return False
-    neutral = np.array([term.parameters[k].neutral for k in own], dtype=float)
-    offset = neutral - model.hypothesis.theta[which]
-    return uncertainty.normalized_distance(which, offset) <= 1.0
+    neutral = np.array([term.parameters[k].neutral for k in amplitudes], dtype=float)
+    offset = neutral - model.hypothesis.theta[columns]
+    return uncertainty.normalized_distance(columns, offset) <= 1.0
 
 
 def _is_needed(without: FloatArray, after: FloatArray, before: FloatArray) -> bool:

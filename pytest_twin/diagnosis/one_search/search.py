@@ -174,18 +174,18 @@ class Search:
     def _propose(self, incumbent: Model, view: View) -> list[Neighbour]:
         """Neighbours; with simulated candidates where the linearization explains nothing."""
         physics, settings = self.physics, self.settings
-        found = neighbours(physics, self.comparison, incumbent, view, settings)
-        gains = [n.gain for n in found if not n.has_elastic]
+        proposals = neighbours(physics, self.comparison, incumbent, view, settings)
+        gains = [n.gain for n in proposals if not n.has_elastic]
         if (
             view.linear is not None
             and not incumbent.hypothesis.terms
             and max(gains, default=0.0) < settings.earns
         ):
-            seen = physics.view_by_simulation(
+            simulated_view = physics.view_by_simulation(
                 incumbent.hypothesis, incumbent.residual, _jacobian_of(incumbent), 4
             )
-            found += neighbours(physics, self.comparison, incumbent, seen, settings)
-        return found
+            proposals += neighbours(physics, self.comparison, incumbent, simulated_view, settings)
+        return proposals
 
     def _select(self, proposals: Sequence[Neighbour], incumbent: Model) -> list[Neighbour]:
         """The proposals that are simulated: the best of each number of effects, then the others.

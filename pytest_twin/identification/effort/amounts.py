@@ -19,8 +19,8 @@ from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import Realization
 
 _WORSE = 1.1
-"""Ratio of residuals above which an effort of one sign is a torque: with the sign of the model's
-effort it fits worse than as it is."""
+"""An effort of one sign is a torque, not an amount, if the residual grows by more than this factor
+when the effort gets the sign that the model predicts."""
 
 
 def without_amounts(realization: Realization, measured: MeasuredRecordings) -> MeasuredRecordings:

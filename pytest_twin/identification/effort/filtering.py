@@ -90,9 +90,9 @@ class Motion:
 def choose_filter(recordings: Sequence[MeasuredRecording]) -> Filter:
     """Choose one filter for all recordings, from the bandwidth of the fastest joint.
 
-    The bandwidth of a joint is that of the recording in which it moves most. In others it may be
-    held and tremble, or turn abruptly: further recordings leave the filter as it is. A filter that
-    ``signals:`` states takes precedence: regressor and effort are low-passed there.
+    The bandwidth of a joint is that of the recording in which it moves most, so that recordings
+    in which it hardly moves do not change the filter: there it may only tremble, or turn abruptly.
+    A cutoff frequency that ``signals:`` states takes precedence, for regressor and effort.
     """
     slowest = min(one.rate for one in recordings)
     stated = [one.filter_cutoff for one in recordings if one.filter_cutoff is not None]
