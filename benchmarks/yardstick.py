@@ -126,16 +126,17 @@ def answer_row(
 
 
 def run_rows(args: argparse.Namespace) -> int:
-    """Answer all rows that the file of answers lacks."""
+    """Answer all rows that the file of answers lacks, or that it has of other inputs."""
     for row, problem, limit in rows_of(args.rows):
-        if row in answers.read(args.answers):
+        digest = frozen().get(problem.name, {}).get("digest")
+        known = answers.read(args.answers).get(row)
+        if known is not None and known["digest"] == digest:
             continue
         try:
             inputs = inputs_of(problem, args.work)
         except MissingInputError as error:
             print(f"{row}: skipped: {error}", flush=True)
             continue
-        digest = frozen().get(problem.name, {}).get("digest")
         if inputs.digest() != digest:
             why = "its inputs are not the frozen ones" if digest else "it is not frozen"
             print(f"{row}: skipped: {why}", flush=True)

@@ -171,10 +171,15 @@ def test_rows_run_another_search_once_and_only_on_frozen_inputs(
     for _ in range(2):
         call("run", *work, "--answers", str(file), "--entry", other_search)
     (answer,) = answers.read(file).values()
+    assert len(file.read_text().splitlines()) == 1
+    stale_file = tmp_path / "stale.jsonl"
+    answers.append(stale_file, {**answer, "digest": "of other inputs", "verdict": "unexplained"})
+    call("run", *work, "--answers", str(stale_file), "--entry", other_search)
+    assert answers.read(stale_file)["drawn/1@none"]["verdict"] == "explained"
     assert (answer["row"], answer["entry"]) == ("drawn/1@none", other_search)
     assert (answer["simulations"], answer["verdict"]) == (12.0, "explained")
     said = capsys.readouterr().out
-    assert said.count("drawn/2@none: skipped: its inputs are not the frozen ones") == 2
+    assert said.count("drawn/2@none: skipped: its inputs are not the frozen ones") == 3
     assert call("compare", str(file), str(file)) == 0
     assert "| drawn, limit none | first name right | 1 of 1 | 1 of 1 |" in capsys.readouterr().out
     worse_file = tmp_path / "worse.jsonl"
