@@ -110,12 +110,8 @@ def course_along(
 
 def _rotations(quaternion: FloatArray) -> FloatArray:
     """(n, 3) rotation vectors from each orientation to the next, in the axes of the former."""
-    w, vector = quaternion[:-1, :1], -quaternion[:-1, 1:]
-    after_w, after = quaternion[1:, :1], quaternion[1:, 1:]
-    real = w * after_w - (vector * after).sum(axis=1, keepdims=True)
-    imaginary = w * after + after_w * vector + np.cross(vector, after)
-    sine = np.linalg.norm(imaginary, axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, np.abs(real))
-    factor = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
-    rotations: FloatArray = np.where(real < 0.0, -1.0, 1.0) * factor * imaginary
-    return rotations
+    # Half a second of imports that only recorded bases need.
+    from scipy.spatial.transform import Rotation
+
+    orientation = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
+    return np.asarray((orientation[:-1].inv() * orientation[1:]).as_rotvec(), dtype=np.float64)
