@@ -39,6 +39,7 @@ RESULTS = {
     "init": "`.twin/init.json` and `init --json -`",
     "convert": "the JSON file beside a converted recording, and `convert --json -`",
     "show": "`show --json -`",
+    "check-dataset": "`check-dataset.json` and `check-dataset --json -`",
     "verify": "`verify --json -`",
     "stamp": "`stamp --json -`",
     "fresh": "`fresh --json -`",

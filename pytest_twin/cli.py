@@ -19,7 +19,14 @@ from pytest_twin.systems import unsupported_system
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "asset and twin": ("intake", "audit", "realize", "init"),
     "gate and releases": ("verify", "stamp", "fresh", "rollback"),
-    "recordings and diagnosis": ("show", "convert", "replay", "diagnose", "effects"),
+    "recordings and diagnosis": (
+        "show",
+        "check-dataset",
+        "convert",
+        "replay",
+        "diagnose",
+        "effects",
+    ),
     "from calibration to training and adaptation": (
         "calibrate",
         "excite",
@@ -54,7 +61,7 @@ def parser(commands: Sequence[str] = COMMANDS) -> Parser:
         title="commands", dest="command", metavar="COMMAND", required=True
     )
     for name in commands:
-        module = importlib.import_module(f"pytest_twin.commands.{name}")
+        module = importlib.import_module(module_of(name))
         command = subparsers.add_parser(
             name,
             help=module.HELP,
@@ -66,6 +73,11 @@ def parser(commands: Sequence[str] = COMMANDS) -> Parser:
             json_output.add_argument(command)
         command.set_defaults(run=module.run, parser=command, every_command=parser)
     return main_parser
+
+
+def module_of(command: str) -> str:
+    """Module of a command."""
+    return f"pytest_twin.commands.{command.replace('-', '_')}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

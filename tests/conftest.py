@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from in_process import InProcess
 
-from pytest_twin.cli import COMMANDS
+from pytest_twin.cli import COMMANDS, module_of
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -29,7 +29,7 @@ def commands_in_process() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         for name in (*COMMANDS, "child_result"):
-            command = importlib.import_module(f"pytest_twin.commands.{name}")
+            command = importlib.import_module(module_of(name))
             if hasattr(command, "Sandbox"):
                 patch.setattr(command, "Sandbox", InProcess)
         yield

@@ -128,17 +128,22 @@ def add_reading_arguments(group: argparse._ActionsContainer) -> None:
         "or NAME.command as the meaning of each",
     )
     group.add_argument(
+        "--time-unit",
+        choices=TIME_UNITS,
+        help="for a CSV file: unit of its times (default: the heading's, else detected from dates "
+        "and sampling rate and reported)",
+    )
+    add_lerobot_arguments(group)
+
+
+def add_lerobot_arguments(group: argparse._ActionsContainer) -> None:
+    """Declare the unit of angles, and the calibration that converts those in per cent."""
+    group.add_argument(
         "--units",
         choices=UNITS,
         help="unit of angles and angular velocities, but for columns that state one; percent (of "
         "the calibrated range) for a LeRobot data set (default: rad; for a LeRobot data set the "
         "declared unit, else detected from the values and reported)",
-    )
-    group.add_argument(
-        "--time-unit",
-        choices=TIME_UNITS,
-        help="for a CSV file: unit of its times (default: the heading's, else detected from dates "
-        "and sampling rate and reported)",
     )
     group.add_argument(
         "--motor-calibration",

@@ -154,3 +154,15 @@ def test_per_cent_of_another_format_is_refused(tmp_path: Path) -> None:
     path.write_text("time,a.position\n0.0,1\n0.1,2\n")
     with pytest.raises(FormatError, match="are of LeRobot data sets"):
         read_one(path, units="percent")
+
+
+def test_joints_in_rad_beside_a_gripper_in_per_cent_are_refused(tmp_path: Path) -> None:
+    values = recorded(counts(), degrees=True)
+    values[:, :2] = np.radians(values[:, :2])
+    with pytest.raises(FormatError, match=r"joints and gripper are in different units.*--units rad"):
+        read_one(dataset(tmp_path, values))
+
+
+def test_encoder_counts_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="as encoder counts are"):
+        read_one(dataset(tmp_path, counts()))

@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,10 +22,17 @@ from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.formats.recording import JointSeries, Notes, Recording
 from pytest_twin.formats.recordings.base import ReadingOptions
-from pytest_twin.formats.recordings.lerobot_calibration import read_calibration
-from pytest_twin.formats.recordings.lerobot_units import Declared, Positions, Unit, unit_of
+from pytest_twin.formats.recordings.lerobot_calibration import MotorRange, read_calibration
+from pytest_twin.formats.recordings.lerobot_units import (
+    Declared,
+    Positions,
+    Unit,
+    episodes_in_another_unit,
+    unit_of,
+)
 from pytest_twin.formats.recordings.parquet import data_files, read_columns
 from pytest_twin.formats.ros_serialization import QUANTITIES, Floats, Integers
+from pytest_twin.words import list_names
 
 INFO = "meta/info.json"
 _VERSION = re.compile(r"v[23]\.\d{1,3}")
@@ -50,7 +58,9 @@ class LeRobotDataset:
 
     def read(self, path: Path, options: ReadingOptions) -> Sequence[Recording]:
         """Read all episodes, in their order."""
-        return _Dataset(path, options).recordings()
+        dataset = Dataset(path, options)
+        dataset.refuse_different_units()
+        return dataset.recordings(dataset.unit())
 
 
 @dataclass(frozen=True)
@@ -62,12 +72,19 @@ class _Feature:
     quantities: tuple[str, ...]
 
 
-class _Dataset:
+class Dataset:
+    """Content of a LeRobot data set.
+
+    Attributes:
+        info: content of ``info.json``.
+        notes: decisions of the reader.
+    """
+
     def __init__(self, path: Path, options: ReadingOptions) -> None:
         self.path, self.options = path, options
         self.file = path / INFO
         self.notes = Notes()
-        self.info = self.read_info()
+        self.info = self._read_info()
         features = self.info.get("features")
         if not isinstance(features, dict):
             raise FormatError(
@@ -77,7 +94,7 @@ class _Dataset:
                 expected="a JSON object with " + " or ".join(_FEATURES.values()),
             )
         self.features = {
-            role: self.feature(features[column], column)
+            role: self._feature(features[column], column)
             for role, column in _FEATURES.items()
             if column in features and role in options.topics
         }
@@ -91,7 +108,7 @@ class _Dataset:
             )
         self.declared = features
 
-    def read_info(self) -> dict[str, Any]:
+    def _read_info(self) -> dict[str, Any]:
         text = decode_text(read_bytes(self.file, limits.YAML.file_bytes), self.file)
         try:
             found = json.loads(text)
@@ -114,7 +131,7 @@ class _Dataset:
             )
         return found
 
-    def feature(self, declared: object, column: str) -> _Feature:
+    def _feature(self, declared: object, column: str) -> _Feature:
         shape = declared.get("shape") if isinstance(declared, dict) else None
         where = f"features.{column}"
         match shape:
@@ -151,8 +168,9 @@ class _Dataset:
             quantities.append(_SUFFIXES.get(suffix, "position"))
         return _Feature(column, tuple(names), tuple(quantities))
 
-    def recordings(self) -> list[Recording]:
-        columns = [feature.column for feature in self.features.values()]
+    @cached_property
+    def table(self) -> dict[str, Floats]:
+        """Numbers of all frames by column, in the order of episodes and frames."""
         sizes = {f.column: len(f.names) for f in self.features.values()}
         table = read_columns(
             data_files(self.path, self.info.get("data_path"), self.file),
@@ -165,9 +183,38 @@ class _Dataset:
                 expected="at least one frame in the files under data/",
             )
         order = np.lexsort((table["frame_index"], table["episode_index"]))
-        table = {name: values[order] for name, values in table.items()}
-        unit = self.unit(columns, table)
-        time = self.times(table)
+        return {name: values[order] for name, values in table.items()}
+
+    @cached_property
+    def positions(self) -> Positions:
+        """The values that are positions, as recorded."""
+        columns = {
+            feature.column: [k for k, q in enumerate(feature.quantities) if q == "position"]
+            for feature in self.features.values()
+        }
+        return Positions(
+            {f.column: [f.names[k] for k in columns[f.column]] for f in self.features.values()},
+            {column: self.table[column][:, places] for column, places in columns.items()},
+        )
+
+    def refuse_different_units(self) -> None:
+        """Check that all episodes are in one unit.
+
+        Raises:
+            FormatError: some are in rad and others in degrees.
+        """
+        others = episodes_in_another_unit(self.positions, self.table["episode_index"])
+        if others:
+            raise FormatError(
+                "episodes in different units, rad and degrees", path=self.path,
+                value=f"episodes {list_names([str(number) for number in others])}",
+                expected="one unit; convert these episodes or remove them",
+            )  # fmt: skip
+
+    def recordings(self, unit: Unit) -> list[Recording]:
+        """Return the episodes, with positions of this unit in rad."""
+        table = self.table
+        time = self._times(table)
         episode = table["episode_index"].astype(np.int64)
         first = np.flatnonzero(np.diff(episode, prepend=episode[0] - 1))
         if len(first) > limits.MCAP.messages_free_count:
@@ -180,39 +227,32 @@ class _Dataset:
         ends = [*first[1:].tolist(), len(episode)]
         notes = tuple(str(note) for note in self.notes.all())
         return [
-            self.episode(int(episode[begin]), slice(begin, end), table, time, unit, notes)
+            self._episode(int(episode[begin]), slice(begin, end), table, time, unit, notes)
             for begin, end in zip(first.tolist(), ends, strict=True)
         ]
 
-    def unit(self, columns: Sequence[str], table: Mapping[str, Floats]) -> Unit:
+    def unit(self) -> Unit:
         """Return the unit of the positions, and note why.
 
         Raises:
             FormatError: it is not known, or the motor calibration is not one.
         """
-        calibration = self.options.motor_calibration
         declared = Declared(
             asked=self.options.units,
-            motors={} if calibration is None else read_calibration(calibration),
+            motors=self.motors,
             info=self.info,
-            features=[self.declared[column] for column in columns],
+            features=[self.declared[feature.column] for feature in self.features.values()],
             file=self.file,
         )
-        positions: dict[str, list[int]] = {
-            feature.column: [k for k, q in enumerate(feature.quantities) if q == "position"]
-            for feature in self.features.values()
-        }
-        return unit_of(
-            declared,
-            Positions(
-                {f.column: [f.names[k] for k in positions[f.column]]
-                 for f in self.features.values()},
-                {column: table[column][:, places] for column, places in positions.items()},
-            ),
-            self.notes,
-        )  # fmt: skip
+        return unit_of(declared, self.positions, self.notes)
 
-    def episode(
+    @cached_property
+    def motors(self) -> Mapping[str, MotorRange]:
+        """Calibrated range of each motor; empty without a calibration."""
+        calibration = self.options.motor_calibration
+        return {} if calibration is None else read_calibration(calibration)
+
+    def _episode(
         self,
         number: int,
         rows: slice,
@@ -222,18 +262,18 @@ class _Dataset:
         notes: tuple[str, ...],
     ) -> Recording:
         series = {
-            role: self.series(role, feature, table[feature.column][rows], time[rows], unit)
+            role: self._series(role, feature, table[feature.column][rows], time[rows], unit)
             for role, feature in self.features.items()
         }
         metadata = (
             {"robot_type": str(self.info["robot_type"])} if self.info.get("robot_type") else {}
         )
-        role = self.role_of(number)
+        role = self._role_of(number)
         if role:
             metadata["role"] = role
         return Recording(self.path / f"episode_{number:06d}", series, metadata, (), notes)
 
-    def series(
+    def _series(
         self, role: str, feature: _Feature, values: Floats, time: Integers, unit: Unit
     ) -> JointSeries:
         names = tuple(name for name in dict.fromkeys(feature.names) if name not in unit.unknown)
@@ -261,7 +301,7 @@ class _Dataset:
             stated=frozenset(names),
         )
 
-    def times(self, table: Mapping[str, Floats]) -> Integers:
+    def _times(self, table: Mapping[str, Floats]) -> Integers:
         """Return (n,) times in ns, from frame / fps: stamps have steps of 8 us after 100 s."""
         written, frame = table["timestamp"], table["frame_index"]
         fps = self.info.get("fps")
@@ -280,7 +320,7 @@ class _Dataset:
             )
         return np.rint(written * 1e9).astype(np.int64)
 
-    def role_of(self, number: int) -> str | None:
+    def _role_of(self, number: int) -> str | None:
         """Return role ``fit`` or ``held_out`` if the data set has splits besides ``train``."""
         splits = self.info.get("splits")
         if not isinstance(splits, dict) or len(splits) < 2:

@@ -23,6 +23,8 @@ GRIPPER = "gripper"
 _KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 # Counts of one turn less one, as LeRobot scales degrees, of the motors of its arms.
 _TURN_COUNTS = 4095
+COUNT = 2.0 * math.pi / _TURN_COUNTS
+"""rad of one encoder count, as LeRobot scales it."""
 _OLD_KEYS = {"motor_names", "calib_mode", "start_pos"}
 _PER_CENT = 100.0
 
@@ -43,7 +45,7 @@ class MotorRange:
     @property
     def radians(self) -> float:
         """Angle between the ends of the range, rad."""
-        return (self.highest - self.lowest) * 2.0 * math.pi / _TURN_COUNTS
+        return (self.highest - self.lowest) * COUNT
 
     def angles(self, per_cent: Floats, *, from_closed: bool) -> Floats:
         """Return angles (rad) of positions in per cent.

@@ -6,12 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.recording import DEGREE, Notes
-from pytest_twin.formats.recordings.lerobot_calibration import GRIPPER, MotorRange
+from pytest_twin.formats.recordings.lerobot_calibration import COUNT, GRIPPER, MotorRange
 from pytest_twin.formats.ros_serialization import Floats
 from pytest_twin.words import list_names
 
@@ -22,6 +24,13 @@ _NAMES = {
 }  # fmt: skip
 # Joints of arms turn at most two turns in each direction.
 _MOST_RADIANS = 4.0 * math.pi
+# Degrees of two turns; larger values are encoder counts.
+_MOST_DEGREES = 720.0
+# An episode is in another unit if its reach and its motion differ from those of the others by this
+# factor, which is rad to degrees, within a tolerance for motions of different size.
+_UNIT_RATIO = 180.0 / math.pi
+_UNIT_TOLERANCE = 4.0
+_FEWEST_EPISODES = 3
 # Only LeRobot's own drivers write per cent of the calibrated range; they may write degrees too.
 _OWN_DRIVERS = ("so100", "so101", "so_follower", "koch", "lekiwi", "moss", "omx", "bi_so")
 _PER_CENT = 100.0
@@ -34,6 +43,23 @@ _WAY_OUT = (
     "--units deg, or --units percent with --motor-calibration FILE.json of the arm "
     "(calibration/robots/ in LeRobot's cache)"
 )
+
+
+class UnitError(FormatError):
+    """Positions whose unit must be stated.
+
+    Attributes:
+        candidates: units that the values may have.
+    """
+
+    candidates: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, problem: str, candidates: tuple[str, ...], **details: Any) -> UnitError:
+        """Return the error with the units that the values may have."""
+        error = cls(problem, where="units", **details)
+        error.candidates = candidates
+        return error
 
 
 @dataclass(frozen=True)
@@ -64,14 +90,16 @@ class Unit:
     """Unit of joint positions; velocities are in this unit per second.
 
     Attributes:
-        name: ``rad``, ``deg`` or ``percent``.
+        name: ``rad``, ``deg``, ``percent`` or ``counts`` of an encoder.
         motors: motor -> its calibrated range, where one is given.
         unknown: joints in per cent of a range that is not known.
+        may_be_percent: whether the values fit per cent of a calibrated range too.
     """
 
     name: str
     motors: Mapping[str, MotorRange]
     unknown: frozenset[str] = frozenset()
+    may_be_percent: bool = False
 
     def angles(self, joint: str, values: Floats) -> Floats:
         """Return the positions of a joint in rad."""
@@ -91,7 +119,7 @@ class Unit:
     @property
     def factor(self) -> float:
         """rad per unit."""
-        return DEGREE if self.name == "deg" else 1.0
+        return {"deg": DEGREE, "counts": COUNT}.get(self.name, 1.0)
 
 
 @dataclass(frozen=True)
@@ -128,7 +156,8 @@ def unit_of(declared: Declared, positions: Positions, notes: Notes) -> Unit:
     Raises:
         FormatError: the declared unit is none, or the values may be degrees or per cent.
     """
-    name = _stated(declared) or _detected(declared, positions, notes)
+    stated = _stated(declared)
+    name = stated or _detected(declared, positions, notes)
     joints = {joint for names in positions.names.values() for joint in names}
     if name == "percent":
         _require_motors(declared, joints)
@@ -143,8 +172,9 @@ def unit_of(declared: Declared, positions: Positions, notes: Notes) -> Unit:
         notes.add("units", "drive_mode 1, angles in the direction of the encoder: "
                   + list_names(reversed_motors))  # fmt: skip
     unknown = {joint for joint in joints if is_gripper(joint)} - set(declared.motors)
+    may_be_percent = stated is None and name == "deg" and _may_be_percent(declared, positions)
     if not own_driver or name != "deg":
-        return Unit(name, declared.motors)
+        return Unit(name, declared.motors, may_be_percent=may_be_percent)
     if unknown:
         notes.add(
             "units",
@@ -152,7 +182,50 @@ def unit_of(declared: Declared, positions: Positions, notes: Notes) -> Unit:
             "cent of its range, also where other joints are in degrees; --motor-calibration "
             "FILE.json of the arm (calibration/robots/ in LeRobot's cache) converts it",
         )
-    return Unit(name, declared.motors, frozenset(unknown))
+    return Unit(name, declared.motors, frozenset(unknown), may_be_percent)
+
+
+def episodes_in_another_unit(positions: Positions, episode: Floats) -> dict[int, float]:
+    """Return number of an episode -> ratio of its values to those of the others, if of two units.
+
+    All joints have to reach and to move 57.3 times as far, or as little, as in most episodes.
+
+    Args:
+        episode: (n,) number of the episode of each row.
+    """
+    numbers = np.unique(episode)
+    if len(numbers) < _FEWEST_EPISODES:
+        return {}
+    sizes = np.array([_reach_and_motion(positions, episode == number) for number in numbers])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = sizes / np.median(sizes, axis=0)
+        off = np.abs(np.abs(np.log(ratios)) - math.log(_UNIT_RATIO)) < math.log(_UNIT_TOLERANCE)
+    same_way = (ratios > 1.0).all(axis=1) | (ratios < 1.0).all(axis=1)
+    return {
+        int(number): _UNIT_RATIO if ratio[0] > 1.0 else 1.0 / _UNIT_RATIO
+        for number, ratio, is_other in zip(numbers, ratios, off.all(axis=1) & same_way, strict=True)
+        if is_other
+    }
+
+
+def _reach_and_motion(positions: Positions, rows: NDArray[np.bool_]) -> tuple[float, float]:
+    """Largest absolute value, and motion summed over the joints, without grippers."""
+    reach = motion = 0.0
+    for feature, table in positions.values.items():
+        for column, name in enumerate(positions.names[feature]):
+            values = table[rows, column]
+            values = values[np.isfinite(values)]
+            if values.size and not is_gripper(name):
+                reach = max(reach, float(np.abs(values).max()))
+                motion += float(np.ptp(values))
+    return reach, motion
+
+
+def _may_be_percent(declared: Declared, positions: Positions) -> bool:
+    robot = str(declared.info.get("robot_type") or "")
+    return positions.largest(grippers=True) <= _PER_CENT + _AT_END and robot.startswith(
+        _OWN_DRIVERS
+    )
 
 
 def _stated(declared: Declared) -> str | None:
@@ -195,18 +268,31 @@ def _detected(declared: Declared, positions: Positions, notes: Notes) -> str:
             "units", f"no unit is declared and no value is beyond {largest:.4g}: rad; {change}"
         )
         return "rad"
+    if body > _MOST_DEGREES:
+        raise UnitError.of(
+            "positions are beyond two turns in degrees, as encoder counts are", ("counts",),
+            path=declared.file, value=f"{body:.6g}",
+            expected="degrees, rad or per cent; --units deg if these are degrees",
+        )  # fmt: skip
+    if 0.0 < body <= _MOST_RADIANS:
+        raise UnitError.of(
+            "joints and gripper are in different units: joints in rad, or hardly moving in "
+            "degrees", ("rad", "deg"), path=declared.file,
+            value=f"joints up to {body:.4g}, gripper up to {largest:.4g}",
+            expected="--units rad or --units deg",
+        )  # fmt: skip
     if largest <= _PER_CENT + _AT_END:
         if declared.motors and _exceeds_ranges(declared.motors, positions):
             return "percent"
         if body >= _PER_CENT - _AT_END or (declared.motors and body > _MOST_RADIANS):
-            raise FormatError(
+            raise UnitError.of(
                 "positions may be degrees or per cent of each joint's calibrated range",
-                path=declared.file, where="units",
+                ("percent", "deg"), path=declared.file,
                 value=f"none declared, values up to {body:.4g}", expected=_WAY_OUT,
             )  # fmt: skip
     notes.add("units", f"no unit is declared, values reach {largest:.4g}: degrees; {change}")
     robot = str(declared.info.get("robot_type") or "")
-    if largest <= _PER_CENT and robot.startswith(_OWN_DRIVERS):
+    if _may_be_percent(declared, positions):
         notes.add(
             "units",
             f"a {robot} may also write per cent of each joint's calibrated range (use_degrees "
@@ -231,8 +317,8 @@ def _exceeds_ranges(motors: Mapping[str, MotorRange], positions: Positions) -> b
 def _require_motors(declared: Declared, joints: set[str]) -> None:
     missing = sorted(joints - set(declared.motors))
     if missing:
-        raise FormatError(
-            "per cent of a calibrated range that is not known", path=declared.file, where="units",
+        raise UnitError.of(
+            "per cent of a calibrated range that is not known", ("percent",), path=declared.file,
             value=list_names(missing),
             expected="--motor-calibration FILE.json with these motors (calibration/robots/ in "
             "LeRobot's cache)",

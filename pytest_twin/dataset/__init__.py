@@ -1,0 +1,1 @@
+"""Check a data set of demonstrations without a model of the robot."""
