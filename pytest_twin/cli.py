@@ -14,7 +14,7 @@ from pytest_twin.commands.model_files import declared_inputs
 from pytest_twin.errors import TwinError, of_system
 from pytest_twin.formats.declared_inputs import declaring
 from pytest_twin.interrupts import sigterm_as_interrupt
-from pytest_twin.systems import unsupported_system
+from pytest_twin.systems import unsupported_system, unusable_mujoco
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "asset and twin": ("intake", "audit", "realize", "init"),
@@ -87,6 +87,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return UNUSABLE_INPUT
     words = list(sys.argv[1:] if arguments is None else arguments)
     args = _parse(words)
+    if (problem := unusable_mujoco()) is not None:
+        terminal.show_error(f"{_PROGRAM} {args.command}", problem)
+        return UNUSABLE_INPUT
     terminal.take_failure()
     try:
         with (
@@ -125,7 +128,8 @@ def _parse(words: list[str]) -> argparse.Namespace:
             f"(commands: {', '.join(COMMANDS)})"
         )
     # Only the module of the named command is imported: importing all takes seconds.
-    args, unknown = parser(words[:1] if first in COMMANDS else COMMANDS).parse_known_args(words)
+    needed = words[:1] if first in COMMANDS else () if first == "--version" else COMMANDS
+    args, unknown = parser(needed).parse_known_args(words)
     if unknown:
         word = unknown[0]
         args.parser.error(

@@ -20,8 +20,8 @@ How a trial becomes a simulation:
   that MuJoCo computed for the step which contains the stamp (at the step's start; with the RK4
   integrator at its end).
 
-Trials are rows of one ``mujoco.batch.Batch``, each with its own model where needed. The steps
-equal those of ``mj_step`` bit for bit.
+Trials are rows of one batch (``realization/engine.py``), each with its own model where needed. The
+steps equal those of ``mj_step`` bit for bit.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
@@ -47,6 +46,7 @@ from pytest_twin.realization.driven_base import (
     offset_of,
 )
 from pytest_twin.realization.encoders import Encoders, calibration_of
+from pytest_twin.realization.engine import BatchError, new_batch
 from pytest_twin.realization.first_state import (
     follow_joint_equalities,
     holding_controls,
@@ -502,7 +502,7 @@ def _batches(runs: Iterable[RowSimulation]) -> list[list[RowSimulation]]:
 
 def _step(runs: list[RowSimulation], threads: int, advance: Callable[[int], None]) -> None:
     model = runs[0].model
-    batch = mujoco_batch.Batch(model, nsim=len(runs), nthread=threads)
+    batch = new_batch(model, len(runs), threads)
     if any(run.model is not model for run in runs):
         batch.set_models([run.model for run in runs])
     for name in _INITIAL:
@@ -539,7 +539,7 @@ def _step(runs: list[RowSimulation], threads: int, advance: Callable[[int], None
                 ids=active,
                 out=arrays,
             )
-        except mujoco_batch.SimulationError as error:
+        except BatchError as error:
             failed = {int(i) for i in error.ids}
         else:
             failed = set()

@@ -14,7 +14,7 @@ import pytest
 from pytest_twin.session.options import Options, add_options, read_options
 from pytest_twin.session.release_fixture import TwinRelease, twin_release
 from pytest_twin.session.result_folders import is_fitted_model
-from pytest_twin.systems import unsupported_system
+from pytest_twin.systems import unsupported_system, unusable_mujoco
 
 if TYPE_CHECKING:
     from pytest_twin.session.session import TwinSession
@@ -131,7 +131,7 @@ def pytest_configure_node(node: Any) -> None:
 def _refusal(config: pytest.Config) -> str | None:
     """Why this machine cannot run goldens with the given options; None where it can."""
     if _REFUSAL not in config.stash:
-        problem = unsupported_system()
+        problem = unsupported_system() or unusable_mujoco()
         if problem is None and config.stash[_OPTIONS].confine:
             from pytest_twin.realization.confinement import why_not_confined
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.machinery import ModuleSpec
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
 
 import pytest
 
-from pytest_twin import cli
-from pytest_twin.systems import unsupported_system
+from pytest_twin import __version__, cli, systems
+from pytest_twin.systems import unsupported_system, unusable_mujoco
 
 WINDOWS = (
     "pytest-twin does not run on Windows, only on Linux and macOS: "
@@ -67,3 +70,60 @@ def test_a_child_process_keeps_a_lower_memory_limit_of_the_system() -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=100
     )
     assert done.stdout == "None\n", done.stderr
+
+
+@pytest.fixture
+def install_mujoco(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """Function that replaces the installed MuJoCo: its version, None for none, and its files."""
+
+    def install(installed: str | None, *files: str) -> None:
+        def version(name: str) -> str:
+            if installed is None:
+                raise PackageNotFoundError(name)
+            return installed
+
+        folder = tmp_path / "mujoco"
+        folder.mkdir()
+        for file in files:
+            (folder / file).touch()
+        spec = ModuleSpec("mujoco", None, is_package=True)
+        spec.submodule_search_locations = [str(folder)]
+        monkeypatch.setattr(systems, "version", version)
+        monkeypatch.setattr(systems, "find_spec", lambda name: spec if installed else None)
+
+    return install
+
+
+COMPILED = "_structs.cpython-311-x86_64-linux-gnu.so"
+
+
+@pytest.mark.parametrize(
+    ("installed", "files", "problem"),
+    [
+        (None, (), "MuJoCo is not installed: pip install 'mujoco>=3.11'"),
+        ("3.3.0", (COMPILED,), "MuJoCo 3.3.0 is installed, and pytest-twin needs 3.11 or newer: "),
+        ("4.0.0", ("__init__.py",), "uninstall first: pip uninstall -y mujoco mujoco-core"),
+    ],
+    ids=["absent", "too old", "upgraded in place"],
+)
+def test_a_mujoco_that_cannot_be_used_is_refused_with_the_repair(
+    install_mujoco,
+    capsys: pytest.CaptureFixture[str],
+    installed: str | None,
+    files: tuple[str, ...],
+    problem: str,
+) -> None:
+    install_mujoco(installed, *files)
+    assert cli.main(["audit", "arm.urdf"]) == 2
+    error = capsys.readouterr().err
+    assert problem in error
+    assert error.count("\n") == 1
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(["--version"])
+    assert capsys.readouterr().out == f"pytest-twin {__version__}\n"
+
+
+@pytest.mark.parametrize("version", ["3.11.0", "3.17.0", "4.0.0", "5.1.0rc1"])
+def test_a_mujoco_with_its_compiled_part_is_used(install_mujoco, version: str) -> None:
+    install_mujoco(version, "__init__.py", COMPILED)
+    assert unusable_mujoco() is None

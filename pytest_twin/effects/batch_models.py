@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
@@ -24,6 +23,7 @@ from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.point_mass import with_point_mass
 from pytest_twin.effects.sampling import age_of_initial_state
 from pytest_twin.effects.segment import Segment
+from pytest_twin.realization.engine import Batch, new_batch, require_batches
 
 ROW_ATTRIBUTES = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
@@ -82,10 +82,15 @@ class _Drives(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _BatchWithModels:
-    """A batch and the model of each of its rows."""
+    """A batch and the model of each of its rows.
+
+    Attributes:
+        expanded: fields with values for each row.
+    """
 
     batch: Batch
     models: Sequence[mujoco.MjModel]
+    expanded: set[str] = field(default_factory=set)
 
     @property
     def has_several_models(self) -> bool:
@@ -94,6 +99,7 @@ class _BatchWithModels:
 
     def expand(self, name: str) -> FloatArray:
         """(rows, ...) writable values of a field, initialized from the model of each row."""
+        self.expanded.add(name)
         array: FloatArray = self.batch.expand(name)
         (array[:],) = self.values_per_row(name)
         return array
@@ -124,6 +130,7 @@ class BatchModels:
         *,
         disable_unused: bool = True,
     ) -> None:
+        require_batches("a simulation of effects (diagnose, identify by simulation, randomize)")
         self.segments = segments
         self.layout = layout
         self.timestep = timestep
@@ -273,9 +280,7 @@ class BatchModels:
         few = (
             overrides_any(effects, *STEP_HOOKS) and len(rows) * models[0].nv < _MIN_SIZE_FOR_THREADS
         )
-        batched = _BatchWithModels(
-            Batch(models[0], len(rows), nthread=1 if few else threads), models
-        )
+        batched = _BatchWithModels(new_batch(models[0], len(rows), 1 if few else threads), models)
         self._set_unrecorded_state(batched.batch, rows)
         world = self.world(rows)
         for effect, parameters in reversed(effects):
@@ -320,7 +325,7 @@ class BatchModels:
             least_time = least_time_constant(models[0], self.timestep)
             self.contact.write(batched.expand, fields, least_time)
         # A moved geom or mass changes frames and bounding volumes, which the engine precomputes.
-        moved = any(batched.batch.expanded(n) is not None for n in ("body_mass", "geom_pos"))
+        moved = not batched.expanded.isdisjoint(("body_mass", "geom_pos"))
         if own or fields.armature.any() or moved:
             batched.batch.set_const()
         return PreparedBatch(batched.batch, world, is_elastic, constant, friction, force_range)
@@ -359,7 +364,7 @@ class BatchModels:
             moving = name == "dof_frictionloss" and between_steps
             if batched.has_several_models or change.any() or moving or is_elastic.any():
                 batched.expand(name)[:, dof] += change
-        if batch.expanded("dof_frictionloss") is not None:
+        if "dof_frictionloss" in batched.expanded:
             levels = batch.expand("dof_frictionloss")
             np.maximum(levels, 0.0, out=levels)
             world.friction_level = levels[:, dof].copy()

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from mujoco.batch import SimulationError as BatchError
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
@@ -48,6 +47,7 @@ from pytest_twin.effects.sampling import (
 )
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.effects.simulation_cache import SimulationCache, row_keys
+from pytest_twin.realization.engine import BatchError
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
 from pytest_twin.realization.lockstep import lockstep

@@ -7,18 +7,14 @@ from dataclasses import dataclass
 import mujoco
 
 from pytest_twin.errors import SpecError
+from pytest_twin.realization.engine import DYN_PID, GAIN_PID, SETPOINT_BITS
 from pytest_twin.trial import CommandMode
 
 # Integers, because a MuJoCo enum on the left of == does not compare with a NumPy integer.
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
-_SETPOINT_GAINS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
-_SETPOINTS: tuple[tuple[CommandMode, int], ...] = (
-    ("position", int(mujoco.mjtCtrlInput.mjINPUT_POS)),
-    ("velocity", int(mujoco.mjtCtrlInput.mjINPUT_VEL)),
-    ("effort", int(mujoco.mjtCtrlInput.mjINPUT_FF)),
-)
+_SETPOINT_GAINS = (GAIN_PID, int(mujoco.mjtGain.mjGAIN_DCMOTOR))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +101,7 @@ def steady_activation(
     control = float(data.ctrl[model.actuator_ctrladr[actuator]])
     dynamics = int(model.actuator_dyntype[actuator])
     dyn = mujoco.mjtDyn
-    slew_limit = {int(dyn.mjDYN_PID): 1, int(dyn.mjDYN_DCMOTOR): 7}.get(dynamics)
+    slew_limit = {DYN_PID: 1, int(dyn.mjDYN_DCMOTOR): 7}.get(dynamics)
     if dynamics in (dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT, dyn.mjDYN_MUSCLE):
         return address, control
     if dynamics == dyn.mjDYN_INTEGRATOR:
@@ -127,7 +123,7 @@ def _actuator_inputs(model: mujoco.MjModel, actuator: int) -> list[CommandInput]
         return []
     if gain_type in _SETPOINT_GAINS:
         # Setpoints are in actuator length, a feedforward in actuator force.
-        present = [setpoint for setpoint, bit in _SETPOINTS if declared & bit]
+        present = [setpoint for setpoint, bit in SETPOINT_BITS if declared & bit]
         return [
             CommandInput(item, control + at, 1.0 / gear if item == "effort" else gear, actuator)
             for at, item in enumerate(present)

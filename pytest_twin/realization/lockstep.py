@@ -6,7 +6,8 @@ import contextlib
 from collections.abc import Callable
 
 import numpy as np
-from mujoco.batch import Batch, SimulationError
+
+from pytest_twin.realization.engine import Batch, BatchError
 
 # Steps between two checks for diverged rows.
 _STEPS_PER_CHECK = 8
@@ -23,7 +24,7 @@ def lockstep(batch: Batch, steps: int, before: Callable[[int], None]) -> None:
     for k in range(steps):
         before(k)
         # A row that raises keeps its state, and the other rows are stepped.
-        with contextlib.suppress(SimulationError):
+        with contextlib.suppress(BatchError):
             batch.step(valid_rows)
         if k % _STEPS_PER_CHECK == 0:
             diverged = batch.warning[:, :, 1].any(axis=1)

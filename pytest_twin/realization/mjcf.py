@@ -23,6 +23,7 @@ import mujoco
 from pytest_twin.errors import LimitError, ModelError, TwinError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
+from pytest_twin.realization.engine import check_meaning, version_advice
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.node import Node
 
@@ -150,6 +151,7 @@ def compile_spec(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         model = spec.compile()
+    check_meaning(model)
     return model, tuple(" ".join(str(warning.message).split()) for warning in caught)
 
 
@@ -170,6 +172,7 @@ def translate(error: Exception, path: Path, places: Sequence[tuple[Path, int]] |
         words = words.replace(match[0], "")
     words = re.sub(r"^(XML )?Error: ", "", words)
     kind = LimitError if "could not allocate" in words.lower() else ModelError
+    words += version_advice(words)
     return kind(f"MuJoCo refuses the model: {words}", path=path, line=line)
 
 

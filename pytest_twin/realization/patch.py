@@ -286,7 +286,6 @@ def patch_actuator(
 def _set_gain(
     actuator: mujoco.MjsActuator, gain: str, value: float, where: str, refuse: Refuse
 ) -> None:
-    kinds = mujoco.mjtActuator
     if gain == "timeconst" and actuator.dyntype in (
         mujoco.mjtDyn.mjDYN_FILTER,
         mujoco.mjtDyn.mjDYN_FILTEREXACT,
@@ -298,10 +297,10 @@ def _set_gain(
     elif gain in ("kv", "dampratio") and _is_servo(actuator):
         # In MuJoCo, a positive third bias parameter is a damping ratio.
         actuator.biasprm[2] = value if gain == "dampratio" else -value
-    elif gain == "kv" and actuator.type == kinds.mjACTUATOR_VELOCITY:
+    elif gain == "kv" and _is_velocity_servo(actuator):
         actuator.gainprm[0] = value
         actuator.biasprm[2] = -value
-    elif gain == "kv" and actuator.type == kinds.mjACTUATOR_DAMPER:
+    elif gain == "kv" and _is_damper(actuator):
         actuator.gainprm[2] = -value
     else:
         raise refuse(
@@ -346,6 +345,28 @@ def _is_servo(actuator: mujoco.MjsActuator) -> bool:
         and actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
         and actuator.gainprm[0] == -actuator.biasprm[1]
         and actuator.gainprm[0] != 0
+    )
+
+
+def _is_velocity_servo(actuator: mujoco.MjsActuator) -> bool:
+    """Whether the force is kv (u - v), as for MJCF's ``velocity``."""
+    return bool(
+        actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        and actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
+        and actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE
+        and actuator.biasprm[1] == 0
+        and actuator.gainprm[0] == -actuator.biasprm[2]
+        and actuator.gainprm[0] != 0
+    )
+
+
+def _is_damper(actuator: mujoco.MjsActuator) -> bool:
+    """Whether the force is -kv u v, as for MJCF's ``damper``."""
+    return bool(
+        actuator.gaintype == mujoco.mjtGain.mjGAIN_AFFINE
+        and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+        and not actuator.gainprm[:2].any()
+        and actuator.gainprm[2] != 0
     )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.errors import FormatError, ModelError
 from pytest_twin.realization import inertia, mesh, shapes
+from pytest_twin.realization.engine import frame_scale
 from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.rigid_model import RigidModel, add_inertia, moments
@@ -121,12 +122,13 @@ class _Builder:
         placement = self._own_placement(element)
         frame = element.frame
         while frame is not None:
-            if not np.array_equal(frame.scale, np.ones(3)):
+            scale = frame_scale(frame)
+            if not np.array_equal(scale, np.ones(3)):
                 raise ModelError(
                     "no independent reference for scaled frames",
                     path=self.realization.path,
                     where=f"frame '{frame.name}'",
-                    value=frame.scale,
+                    value=scale,
                     expected="scale 1 1 1; scale the meshes instead",
                 )
             placement = self._own_placement(frame) * placement

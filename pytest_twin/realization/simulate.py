@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mujoco import batch
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SimulationError
+from pytest_twin.realization.engine import new_batch
 from pytest_twin.realization.first_state import settle_actuators
 from pytest_twin.realization.model import Realization
 from pytest_twin.trial import CommandMode
@@ -470,10 +470,10 @@ def simulate_batch(
     if applied.shape[2]:
         spec |= mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
         inputs = np.concatenate((control, applied), axis=2)
-    pool = batch.Batch(model, rows)
+    pool = new_batch(model, rows)
     begin = float(data.time)
     for name in _STATE:
-        if np.size(getattr(data, name)):
+        if np.size(getattr(data, name, ())):  # older engines have fewer
             pool.bind(name)[:] = getattr(data, name)
     qpos, qvel = np.empty((rows, steps, model.nq)), np.empty((rows, steps, model.nv))
     stride = 2000

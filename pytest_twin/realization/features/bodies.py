@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_twin.realization.engine import model_field
 from pytest_twin.realization.features.canonical import (
     as_list,
     as_rounded_list,
@@ -87,7 +88,7 @@ def joint(elements: Elements, joint: int) -> dict[str, Any]:
         with_unit("stiffness", spring): float(model.jnt_stiffness[joint]),
         "stiffness polynomial": as_list(model.jnt_stiffnesspoly[joint]),
         "spring reference": as_rounded_list(model.qpos_spring[at : at + QPOS[kind]]),
-        "spring yield": number(model.jnt_springyield[joint]),
+        "spring yield": number(model_field(model, "jnt_springyield")[joint]),
         "limit solref": as_list(model.jnt_solref[joint]),
         "limit solimp": as_list(model.jnt_solimp[joint]),
         "limit margin": float(model.jnt_margin[joint]),

@@ -7,6 +7,7 @@ from typing import Any
 
 import mujoco
 
+from pytest_twin.realization.engine import model_field
 from pytest_twin.realization.features.canonical import (
     as_list,
     as_rounded_list,
@@ -65,12 +66,12 @@ def tendon(elements: Elements, tendon: int) -> dict[str, Any]:
     forces = bool(model.tendon_actfrclimited[tendon])
     return {
         "path": path,
-        "tendon type": int(model.tendon_type[tendon]),
+        "tendon type": int(model_field(model, "tendon_type")[tendon]),
         "range": as_list(model.tendon_range[tendon]) if limited else None,
         "actuator force range": as_list(model.tendon_actfrcrange[tendon]) if forces else None,
         "spring length": as_rounded_list(model.tendon_lengthspring[tendon]),
         **{
-            name: value_of(getattr(model, f"tendon_{name}")[tendon])
+            name: value_of(model_field(model, f"tendon_{name}")[tendon])
             for name in (
                 "solref_lim",
                 "solimp_lim",

@@ -194,6 +194,11 @@ FLEX = frozenset(
         "edgeequality",
         "rigid",
         "centered",
+        # Before MuJoCo 3.15.
+        "internal",
+        "evpairadr",
+        "evpairnum",
+        "evpair",
     ]
 )
 ACTUATOR = frozenset(
@@ -311,7 +316,9 @@ FIELDS_OF_LAYER: dict[str, frozenset[str]] = {
 
 DERIVED = frozenset(
     {
-        # computed by the compiler from fields of the layers
+        # computed by the compiler from fields of the layers; the first seven before MuJoCo 4
+        *("flex_vertedgeadr", "flex_vertedgenum", "flex_vertedge", "flex_vertmetric"),
+        *("flexvert_J_rownnz", "flexvert_J_rowadr", "flexvert_J_colind"),
         "body_rootid",
         "body_weldid",
         "body_treeid",

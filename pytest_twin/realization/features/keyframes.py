@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_twin.realization.engine import model_field
 from pytest_twin.realization.features.canonical import (
     as_list,
     one_or_listed,
@@ -39,5 +40,5 @@ def keyframe(elements: Elements, key: int) -> dict[str, Any]:
         "activations": activations,
         "mocap positions": as_list(model.key_mpos[key]),
         "mocap quaternions": as_list(model.key_mquat[key]),
-        "plastic state": as_list(model.key_plastic[key]),
+        "plastic state": as_list(model_field(model, "key_plastic")[key]),
     }

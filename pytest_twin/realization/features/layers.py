@@ -39,7 +39,9 @@ def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[s
         # An equality and a tendon may have the same name.
         found.setdefault(f"coupling:{coupling}", {}).update(value)
     if model.nflex:
-        found["flex:all"] = {name: value_of(getattr(model, name)) for name in sorted(FLEX)}
+        found["flex:all"] = {
+            name: value_of(getattr(model, name)) for name in sorted(FLEX) if hasattr(model, name)
+        }
     found.update(_inputs_and_outputs(elements))
     found["option:gravity"] = {
         "gravity [m/s^2]": as_list(model.opt.gravity),

@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 
+from pytest_twin.realization.engine import model_field
 from pytest_twin.realization.features.canonical import (
     as_rounded_list,
     rotation_of,
@@ -54,7 +55,7 @@ def sensor(elements: Elements, sensor: int) -> dict[str, Any]:
         if target == int(OBJ.mjOBJ_SITE) and at >= 0:
             drawn = [int(model.site_type[at]), as_rounded_list(model.site_size[at])]
             content.setdefault("sites", []).append([site(elements, at), drawn])
-            content["site meshes"] = [int(model.site_dataid[at])]
+            content["site meshes"] = [int(model_field(model, "site_dataid")[at])]
         if target == int(OBJ.mjOBJ_GEOM) and at >= 0:
             content.setdefault("geoms", []).append(shape(elements, at))
     if kind == int(mujoco.mjtSensor.mjSENS_RANGEFINDER):
