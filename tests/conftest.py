@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
+# Before numpy is imported: with a thread on each core in each worker, waiting threads of OpenBLAS
+# keep the cores busy, and an identification uses twenty times the processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import importlib
 from collections.abc import Iterator
 
