@@ -25,6 +25,7 @@ SCHEMAS = {
     "twin": "`twin.yaml`",
     "evidence": "the evidence file of `audit --evidence`",
     "calibration": "`calibration.yaml`",
+    "audit_baseline": "the file of accepted findings of `audit-changes --baseline`",
 }
 RESULTS = {
     "diagnosis": "`diagnosis.json` and `diagnose --json -`",
@@ -36,6 +37,7 @@ RESULTS = {
     "excite": "`excitation.json` and `excite --json -`",
     "replay": "the JSON file beside a prediction, and `replay --json -`",
     "audit": "`NAME.audit.json` and `audit --json -`",
+    "audit-changes": "`audit-changes --json -`",
     "init": "`.twin/init.json` and `init --json -`",
     "convert": "the JSON file beside a converted recording, and `convert --json -`",
     "show": "`show --json -`",

@@ -17,7 +17,7 @@ from pytest_twin.interrupts import sigterm_as_interrupt
 from pytest_twin.systems import unsupported_system, unusable_mujoco
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
-    "asset and twin": ("intake", "audit", "realize", "init"),
+    "asset and twin": ("intake", "audit", "audit-changes", "realize", "init"),
     "gate and releases": ("verify", "stamp", "fresh", "rollback"),
     "recordings and diagnosis": (
         "show",

@@ -34,7 +34,7 @@ def commands_in_process() -> Iterator[None]:
     and in modules without this fixture.
     """
     with pytest.MonkeyPatch.context() as patch:
-        for name in (*COMMANDS, "child_result"):
+        for name in (*COMMANDS, "child_result", "robot_audit"):
             command = importlib.import_module(module_of(name))
             if hasattr(command, "Sandbox"):
                 patch.setattr(command, "Sandbox", InProcess)

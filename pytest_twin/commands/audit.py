@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
-import shutil
 from pathlib import Path
 
 from pytest_twin.commands import json_output, model_files, xacro_files
-from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.robot_audit import audit_robot
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
-from pytest_twin.formats import atomic, results
-from pytest_twin.formats.expansions import EXPANDED
-from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.report.audit import render, table
+from pytest_twin.formats.expansions import EXPANDED, SUFFIX
+from pytest_twin.report.audit import table
 
 HELP = (
     "check a robot's URDF, MJCF or USD file, or an SRDF against its URDF, and list faults, "
@@ -66,28 +62,15 @@ def run(args: argparse.Namespace) -> int:
     """
     asset: Path = args.asset
     out: Path = args.out
-    function, arguments = _call(args)
-    name = f"{asset.name}.audit"
-    with (
-        xacro_files.expanded(asset.resolve(), args) as expansion,
-        results.result_folder(out, f"{name}.json") as staging,
-        Sandbox() as sandbox,
-        Progress("auditing") as progress,
-    ):
-        found = sandbox.call(function, arguments, progress=progress)
-        if expansion is not None:
-            shutil.copyfile(expansion.urdf, staging / f"{name}{EXPANDED}")
-        renders = found.pop("renders", [])
-        located = found.pop("located", [])
-        atomic.write_text(staging / f"{name}.json", json.dumps(found, indent=2) + "\n")
-        atomic.write_text(staging / f"{name}.html", render(found, renders))
+    found, located = audit_robot(asset, out, _call(args), args)
     json_output.give(args, found)
     for line in located:
         show(line)
     show(table(found, every=args.all))
     for srdf in found["facts"].get("srdf", ()):
         show(f"SRDF beside it, not audited here: pytest-twin audit {srdf}")
-    if expansion is not None:
+    name = f"{asset.name}.audit"
+    if asset.suffix == SUFFIX:
         show(f"expanded by xacro; lines are those of {out / name}{EXPANDED}")
     show(f"report: {out / name}.html, {out / name}.json")
     return CRITICAL if found["counts"]["critical"] else CLEAN

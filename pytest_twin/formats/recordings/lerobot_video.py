@@ -62,7 +62,10 @@ def episode_videos(
     template = info.get("video_path")
     where = folder / "meta" / "info.json"
     if not isinstance(template, str):
-        raise FormatError("states no path of the videos", path=where, where="video_path")
+        raise FormatError(
+            "states no path of the videos", path=where, where="video_path",
+            expected="such as videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+        )  # fmt: skip
     roots = Roots(folder)
     rows = _rows(folder, camera, durations, info, at=where)
     found = []
@@ -71,8 +74,9 @@ def episode_videos(
             name = template.format(video_key=camera, **fields)
         except (KeyError, IndexError, ValueError, AttributeError):
             raise FormatError(
-                "not a path of videos", path=where, where="video_path", value=template[:120]
-            ) from None
+                "not a path of videos", path=where, where="video_path", value=template[:120],
+                expected="the fields of LeRobot, such as {video_key} and {file_index:03d}",
+            ) from None  # fmt: skip
         file = roots.resolve(name, at=folder / "videos", where="video_path")
         found.append(EpisodeVideo(episode, file, begin, end))
     return found
@@ -136,8 +140,9 @@ def grey_frames(video: EpisodeVideo, count: int, width: int) -> Floats:
                 images.append(_image_at(container, stream, time, width))
     except (OSError, ValueError, IndexError, av.FFmpegError) as error:
         raise FormatError(
-            f"cannot be decoded: {' '.join(str(error).split())[:120]}", path=video.file
-        ) from None
+            f"cannot be decoded: {' '.join(str(error).split())[:120]}", path=video.file,
+            expected="a video that FFmpeg reads",
+        ) from None  # fmt: skip
     return np.stack(images)
 
 
