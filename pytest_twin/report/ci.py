@@ -133,9 +133,10 @@ def junit(robots: Sequence[str], problems: Sequence[Problem]) -> str:
     for one in critical:
         name = f"{one.robot}: {one.code}: {one.element}"
         case = etree.SubElement(
-            suite, "testcase", classname="audit", name=_xml(name), file=_xml(one.file),
-            **({} if one.line is None else {"line": str(one.line)}),
-        )  # fmt: skip
+            suite, "testcase", classname="audit", name=_xml(name), file=_xml(one.file)
+        )
+        if one.line is not None:
+            case.set("line", str(one.line))
         failure = etree.SubElement(case, "failure", message=_xml(one.text))
         failure.text = _xml(one.line_of_text())
     return etree.tostring(suite, encoding="unicode", pretty_print=True)
