@@ -85,7 +85,7 @@ def _git(folder: Path, *words: str) -> list[str]:
     if run.returncode != 0:
         said = run.stderr.decode(errors="replace").strip().splitlines() or [""]
         raise SpecError(
-            f"git {words[0]} failed", value=said[0][:200],
+            f"git {words[0]} failed", path=folder.resolve(), value=said[0][:200],
             expected="a checkout with the history back to the revision (fetch-depth: 0)",
         )  # fmt: skip
     output = run.stdout.decode(errors="surrogateescape")
