@@ -112,6 +112,7 @@ def golden_schema(kinds: Iterable[str]) -> dict[str, Any]:
     kind_property = {**_COMMON["kind"], "examples": sorted(kinds)}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:pytest-twin:golden:{SCHEMA_VERSION}",
         "title": "pytest-twin golden spec",
         "type": "object",
         "properties": {**_COMMON, "kind": kind_property},
