@@ -37,14 +37,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.realization import Realization
-from pytest_twin.realization.driven_base import (
-    BaseCourse,
-    armature,
-    course_along,
-    free_joint_of,
-    heavy_base,
-    offset_of,
-)
+from pytest_twin.realization.driven_base import BaseCourse, DrivenBase, drive_base
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.engine import BatchError, new_batch
 from pytest_twin.realization.first_state import (
@@ -245,7 +238,7 @@ class RowSimulation:
         self.applies_effort = False
         self.notes: tuple[str, ...] = ()
         self._locate_samples()
-        self.base_joint, self.base = self._base_course()
+        self.base, self.course = self._base_course()
         self._set_first_state(data)
         self._compute_commands(data)
         data.ctrl[:] = self.values[0, : self.model.nu]
@@ -285,47 +278,26 @@ class RowSimulation:
         # One step past the last stamp: the interpolation needs the state at the end of its step.
         self.steps = int(self.sample_step[-1]) + 1
 
-    def _base_course(self) -> tuple[int, BaseCourse | None]:
-        """The free joint of the base and its recorded course; the model then follows it.
+    def _base_course(self) -> tuple[DrivenBase | None, BaseCourse | None]:
+        """The base whose pose was recorded, and its course; the model then follows it.
 
         Raises:
             SpecError: the recorded joints are not carried by one free joint.
         """
         motion = self.trial.base
         if motion is None:
-            return -1, None
-        joint = free_joint_of(self.model, self.joint_ids)
-        if joint is None:
-            raise SpecError(
-                "the recorded joints are not carried by one floating base", path=self.row.source,
-                expected="one free joint at the base of the robot, whose pose is recorded",
-            )  # fmt: skip
-        position, quaternion = motion.at(
-            np.asarray(self.timestep * np.arange(self.steps + 1), dtype=np.float64)
+            return None, None
+        self.model, base, self.notes = drive_base(
+            self.model, self.joint_ids, motion, self.row.source
         )
-        base_name = self.model.body(self.model.jnt_bodyid[joint]).name
-        if motion.frame and motion.frame != base_name:
-            offset = offset_of(self.model, joint, motion.frame)
-            if offset is None:
-                self.notes = (
-                    f"{motion.source}: the model has no body or site {motion.frame!r} that is "
-                    f"rigid with its base: its pose is taken as that of {base_name!r}",
-                )
-            else:
-                position, quaternion = _moved(position, quaternion, *offset)
-        self.model = heavy_base(self.model, joint)
         self.applies_effort = True
-        return joint, course_along(position, quaternion, self.timestep, armature(self.model))
+        return base, base.course(0.0, self.timestep, self.steps)
 
     def _set_first_state(self, data: mujoco.MjData) -> None:
         mujoco.mj_resetData(self.model, data)
-        if self.base is not None:
-            at, dof = (
-                self.model.jnt_qposadr[self.base_joint],
-                self.model.jnt_dofadr[self.base_joint],
-            )
-            data.qpos[at : at + len(self.base.qpos)] = self.base.qpos
-            data.qvel[dof : dof + len(self.base.qvel)] = self.base.qvel
+        if self.base is not None and self.course is not None:
+            data.qpos[self.base.qpos] = self.course.qpos
+            data.qvel[self.base.dof] = self.course.qvel
         data.qpos[self.qpos_index] = self.encoders.model_position(self.trial.position[0])
         if self.trial.velocity is not None:
             velocity = self.encoders.model_velocity(self.trial.velocity[0])
@@ -374,12 +346,12 @@ class RowSimulation:
     def controls(self, begin: int, end: int, out: FloatArray) -> None:
         """Write the controls of steps ``begin`` to ``end`` into ``out`` (steps, controls)."""
         self._command_controls(begin, end, out)
-        if self.base is not None:
-            dof = self.model.nu + self.model.jnt_dofadr[self.base_joint]
-            force = self.base.force[begin:end]
-            out[: len(force), dof : dof + force.shape[1]] = force
+        if self.base is not None and self.course is not None:
+            of_base = out[:, self.model.nu :][:, self.base.dof]
+            force = self.course.force[begin:end]
+            of_base[: len(force)] = force
             # Steps after the last sample go on at the last velocity.
-            out[len(force) :, dof : dof + force.shape[1]] = 0.0
+            of_base[len(force) :] = 0.0
 
     def _command_controls(self, begin: int, end: int, out: FloatArray) -> None:
         width = out.shape[1]
@@ -457,18 +429,6 @@ class RowSimulation:
             error=self.error,
             notes=self.notes,
         )
-
-
-def _moved(
-    position: FloatArray, quaternion: FloatArray, offset: FloatArray, turn: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Poses of a frame at a constant offset (m) and orientation (w x y z) in a moving frame."""
-    moved, turned = np.empty_like(position), np.empty_like(quaternion)
-    for row, (at, orientation) in enumerate(zip(position, quaternion, strict=True)):
-        mujoco.mju_rotVecQuat(moved[row], offset, orientation)
-        moved[row] += at
-        mujoco.mju_mulQuat(turned[row], orientation, turn)
-    return moved, turned
 
 
 def _hermite(

@@ -225,7 +225,7 @@ def diagnose(
     for i, trial in enumerate(roles.test):
         # A test recording that the model cannot replay is reported before the search of minutes.
         joints = shared_joints(realization, [trial])
-        segments_of(realization, trial, i, joints, Cutting(commanded=True))
+        segments_of(realization, trial, i, joints, Cutting(skips_hole=True))
     # Simulations of candidates may diverge and overflow; such candidates are ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         structure = (find or find_structure)(

@@ -15,6 +15,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.segment import UnrecordedState
+from pytest_twin.realization.driven_base import DrivenBase
 from pytest_twin.realization.first_state import (
     follow_joint_equalities,
     holding_controls,
@@ -40,6 +41,7 @@ class HiddenState:
         modes: (joints,) kinds of their commands.
         setpoints: setpoints on the trial's clock, in the model's coordinates; NaN columns for
             joints without a command.
+        base: floating base that moves along its recorded pose.
 
     Raises:
         SpecError: the model has no actuator for a command.
@@ -52,14 +54,16 @@ class HiddenState:
         modes: Sequence[CommandMode],
         setpoints: Setpoint,
         motion: Motion,
+        base: DrivenBase | None = None,
     ) -> None:
+        self._base = base
         self._model, self._data = model, mujoco.MjData(model)
         self._motion = motion
         command = setpoints.value
         self._ids = [model.joint(joint).id for joint in joints]
         commanded = [j for j in range(len(joints)) if np.isfinite(command[:, j]).all()]
         self._has_memory = bool(model.na or self._data.history.size)
-        self._reset_to(motion[1][0], np.zeros(len(joints)))
+        self._reset_to(motion[1][0], np.zeros(len(joints)), float(motion[0][0]))
         self._idle = holding_controls(model, self._data, [joints[j] for j in commanded])
         sent = np.tile(self._idle, (len(command), 1))
         for j in commanded if self._has_memory else ():
@@ -79,8 +83,8 @@ class HiddenState:
         """
         memories = self._memories(starts) if self._has_memory else [{} for _ in starts]
         out = []
-        for (position, velocity), memory in zip(states, memories, strict=True):
-            self._reset_to(position, velocity)
+        for (position, velocity), memory, start in zip(states, memories, starts, strict=True):
+            self._reset_to(position, velocity, start)
             placed = {name: getattr(self._data, name).copy() for name in _KINEMATIC_FIELDS}
             out.append(UnrecordedState({**placed, **memory, "ctrl": self._idle}))
         return out
@@ -97,14 +101,14 @@ class HiddenState:
             for values in (position, velocity)
         )
         sent = self._sent.at(stamps)
-        self._reset_to(position[0], velocity[0])
+        self._reset_to(position[0], velocity[0], float(time[0]))
         data.ctrl[:] = self._sent.value[0]
         settle_under_load(model, data)
         out, since = [], 0
         with suppress_mujoco_warnings():
             for until in steps.tolist():
                 for k in range(since, until):
-                    self._set_state(q[k], v[k])
+                    self._set_state(q[k], v[k], float(stamps[k]))
                     data.ctrl[:] = sent[k]
                     mujoco.mj_step(model, data)
                 since = until
@@ -115,12 +119,14 @@ class HiddenState:
         kept = {name: np.atleast_1d(getattr(self._data, name)).copy() for name in _MEMORY_FIELDS}
         return {name: value for name, value in kept.items() if value.size}
 
-    def _reset_to(self, position: FloatArray, velocity: FloatArray) -> None:
+    def _reset_to(self, position: FloatArray, velocity: FloatArray, time: float) -> None:
         mujoco.mj_resetData(self._model, self._data)
-        self._set_state(position, velocity)
+        self._set_state(position, velocity, time)
 
-    def _set_state(self, position: FloatArray, velocity: FloatArray) -> None:
+    def _set_state(self, position: FloatArray, velocity: FloatArray, time: float) -> None:
         model, data = self._model, self._data
+        if self._base is not None:
+            self._base.place(data, time)
         data.qpos[model.jnt_qposadr[self._ids]] = position
         data.qvel[model.jnt_dofadr[self._ids]] = velocity
         follow_joint_equalities(model, data, self._ids)

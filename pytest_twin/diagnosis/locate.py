@@ -89,6 +89,8 @@ def _smooth_motion(problem: Problem, segment: Segment, trial: Trial) -> Motion:
     close = np.zeros(len(at))
     result = np.zeros(model.nv)
     for i, k in enumerate(at):
+        if segment.base is not None:
+            segment.base.place(data, float(segment.time[k]))
         data.qpos[simulator.layout.qpos_index] = q[k]
         data.qvel[simulator.layout.dof_index] = v[k]
         data.qacc[simulator.layout.dof_index] = a[k]
@@ -401,6 +403,8 @@ def compute_missing_force(
         step = max(1, n // 60)
         inertia = np.zeros((joints, joints))
         for k in range(0, n, step):
+            if segment.base is not None:
+                segment.base.place(data, float(segment.time[k]))
             data.qpos[simulator.layout.qpos_index] = segment.position[k]
             mujoco.mj_forward(model, data)
             mujoco.mj_fullM(model, data, mass)

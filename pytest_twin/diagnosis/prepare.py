@@ -152,7 +152,7 @@ def prepare(
     joints = shared_joints(realization, trials)
     fixed, substeps = settings.fixed, settings.substeps
     cold_fractions = settings.cold_fractions or cold_fractions_of(trials)
-    cutting = Cutting(window, commanded=True, contact=contact)
+    cutting = Cutting(window, skips_hole=True, contact=contact)
     cut = _cut_trials(
         realization, trials, joints, cutting, cold_fractions, settings.has_friction_creep
     )

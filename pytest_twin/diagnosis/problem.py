@@ -461,7 +461,10 @@ def joint_scales(simulator: BatchSimulator, nominal: Sequence[Predicted]) -> Sca
     mass = np.zeros((model.nv, model.nv))
     inertia = np.zeros(joints)
     for s in segments:
-        data.qpos[simulator.layout.qpos_index] = s.position[len(s.position) // 2]
+        middle = len(s.position) // 2
+        if s.base is not None:
+            s.base.place(data, float(s.time[middle]))
+        data.qpos[simulator.layout.qpos_index] = s.position[middle]
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, mass)
         inertia = np.maximum(inertia, np.diag(mass)[simulator.layout.dof_index])

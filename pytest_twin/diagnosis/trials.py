@@ -15,7 +15,6 @@ from pytest_twin.formats.recording import Recording
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.common_stamps import resample_to_common_stamps
-from pytest_twin.trial.floating_base import refuse_moving_base
 from pytest_twin.trial.roles import refuse_final
 
 
@@ -81,7 +80,6 @@ def read_trials(
             for trial in parts:
                 try:
                     _refuse_too_few(trial)
-                    refuse_moving_base(trial.path, trial.base)
                 except TwinError as error:
                     first_error = first_error or error
                     notes.append(f"left out: {error}")

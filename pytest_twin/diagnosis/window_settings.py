@@ -14,7 +14,6 @@ class WindowSettings:
     Attributes:
         start_samples: samples from which the initial state of a window is estimated.
         fewest_samples: samples that a window has at least.
-        late: a first command that is at most this late, in s, is assumed to hold from the start.
         rough: a window does not begin where the mean squared deviation from a smooth motion exceeds
             this multiple of its typical value: a command jumps there.
         near: largest RMS error of a joint, as a share of its RMS travel in a window, for windows of
@@ -34,7 +33,6 @@ class WindowSettings:
 
     start_samples: int = 12
     fewest_samples: int = 8
-    late: float = 0.05
     rough: float = 4.0
     near: float = 0.25
     shortest: float = 0.1

@@ -24,10 +24,10 @@ from pytest_twin.effects.contact_geoms import ContactGeoms, is_far_from_surfaces
 from pytest_twin.effects.memory_warmup import WARM_UP_TIME
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization import Realization
+from pytest_twin.realization.driven_base import DrivenBase, drive_base, refuse_contact
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.mjcf import compile_spec
 from pytest_twin.trial import Trial
-from pytest_twin.trial.floating_base import refuse_moving_base
 
 WINDOW = 0.5
 """Length of windows, s; halved if the discretization error of a window is too large."""
@@ -44,14 +44,14 @@ class Cutting:
             :data:`WINDOW`, others are not cut.
         estimates_velocity: whether the initial velocity of a whole trial without measured
             velocities is estimated from its first samples; otherwise the trial starts at rest.
-        commanded: whether samples well before the first command are left out, because the commands
-            until then are not recorded. A part after a hole then begins during a motion.
+        skips_hole: whether a part after a hole begins, in motion, once the commands that the hole
+            hides have no influence left; otherwise it begins with its first sample.
         contact: surfaces from which windows keep a distance; a trial may then have no window.
     """
 
     window: float | None = None
     estimates_velocity: bool = False
-    commanded: bool = False
+    skips_hole: bool = False
     contact: ContactGeoms | None = None
 
 
@@ -81,23 +81,21 @@ def segments_of(
 
     Raises:
         SpecError: the model lacks the trial's controller or payload.
-        RecordingError: the base of the robot moved.
+        RecordingError: the robot of a recorded base pose touches something.
     """
-    refuse_moving_base(trial.path, trial.base)
     recorded = replace(
         _whole_trial_segment(realization, trial, index, joints, cold_fraction),
         has_friction_creep=has_friction_creep,
     )
-    first = _first_commanded(recorded) if cutting.commanded else 0
-    after_hole = cutting.commanded and trial.offset > 0.0
-    clear = np.arange(len(recorded.time)) >= first
-    if after_hole:
+    after_hole = cutting.skips_hole and trial.offset > 0.0
+    clear = np.ones(len(recorded.time), dtype=bool)
+    if after_hole and recorded.time[-1] > 2.0 * WARM_UP_TIME:
         # Unknown commands during the hole still influence the motion for a while.
         clear &= recorded.time >= WARM_UP_TIME
     if cutting.window is None and recorded.mode != "effort":
         if after_hole:
             return _cut_windows(recorded, joints, clear, trial.duration, whole=True)
-        return [_segment_to_end(recorded, joints, first, cutting.estimates_velocity)]
+        return [_from_first_sample(recorded, joints, cutting.estimates_velocity)]
     if cutting.contact is not None:
         ids = np.array([recorded.model.joint(j).id for j in joints])
         clear &= is_far_from_surfaces(recorded.model, ids, cutting.contact, recorded.position)
@@ -123,9 +121,11 @@ def _whole_trial_segment(
     each = tuple(mode or hardest for mode in modes)
     # The last of several commands with the same stamp is used.
     ascending = np.append(np.diff(setpoint.time) > 0, True)
+    model, base = _model_and_base(realization, trial, joints, keep, position)
     return Segment(
         trial=index,
-        model=_model(realization, trial),
+        model=model,
+        base=base,
         mode=hardest,
         modes=() if set(each) == {hardest} else each,
         is_interpolated=setpoint.is_linear,
@@ -142,20 +142,6 @@ def _whole_trial_segment(
     )
 
 
-def _first_commanded(recorded: Segment) -> int:
-    """Index of the first sample under a command.
-
-    It is 0 if the command is not late, or if too few samples would remain.
-    """
-    time, since = recorded.time, recorded.command_time[0]
-    first = int(np.searchsorted(time, since))
-    return (
-        first
-        if since > time[0] + WINDOWS.late and len(time) - first >= WINDOWS.fewest_samples
-        else 0
-    )
-
-
 def _hidden_state_along(
     recorded: Segment, joints: Sequence[str], position: FloatArray, velocity: FloatArray
 ) -> HiddenState:
@@ -167,24 +153,21 @@ def _hidden_state_along(
         [recorded.mode_of(j) for j in range(len(joints))],
         recorded.setpoint,
         motion,
+        recorded.base,
     )
 
 
-def _segment_to_end(recorded: Segment, joints: Sequence[str], first: int, moving: bool) -> Segment:
-    """The segment from sample ``first`` to the last."""
+def _from_first_sample(recorded: Segment, joints: Sequence[str], moving: bool) -> Segment:
+    """The whole trial as a segment; if it is ``moving``, with an estimated initial velocity."""
     time, position = recorded.time, recorded.position
-    start = float(time[first]) if first else 0.0
     velocity = recorded.initial_velocity
     if recorded.velocity is not None:
-        velocity = np.nan_to_num(recorded.velocity[first])
+        velocity = np.nan_to_num(recorded.velocity[0])
     elif moving:
-        velocity = smooth_state(time[first:], position[first:], start, 2.0 * SMOOTHING_WIDTH)[1]
+        velocity = smooth_state(time, position, recorded.start, 2.0 * SMOOTHING_WIDTH)[1]
     around = _hidden_state_along(recorded, joints, position, np.zeros_like(position))
-    (unrecorded,) = around.at([start], [(position[first], velocity)])
-    return recorded.part(
-        np.arange(len(time)) >= first, start=start, initial_position=position[first],
-        initial_velocity=velocity, unrecorded=unrecorded,
-    )  # fmt: skip
+    (unrecorded,) = around.at([recorded.start], [(position[0], velocity)])
+    return replace(recorded, initial_velocity=velocity, unrecorded=unrecorded)
 
 
 def _cut_windows(
@@ -269,6 +252,32 @@ def _columns(
     return None if values is None else in_model(values[keep][:, columns])
 
 
+def _model_and_base(
+    realization: Realization,
+    trial: Trial,
+    joints: Sequence[str],
+    keep: NDArray[np.bool_],
+    position: FloatArray,
+) -> tuple[mujoco.MjModel, DrivenBase | None]:
+    """The model of a trial, and its floating base where the pose of that was recorded.
+
+    Raises:
+        RecordingError: the robot touches something along its recorded motion.
+    """
+    model = _model(realization, trial)
+    if trial.base is None:
+        return model, None
+    ids = [model.joint(joint).id for joint in joints]
+    heavy, base, _ = drive_base(model, ids, trial.base, realization.path)
+    heavy = _DRIVEN_MODELS.setdefault(model, heavy)
+    refuse_contact(heavy, base, ids, trial.time[keep], position, trial.path)
+    return heavy, base
+
+
+_DRIVEN_MODELS: weakref.WeakKeyDictionary[mujoco.MjModel, mujoco.MjModel] = (
+    weakref.WeakKeyDictionary()
+)
+"""Model -> the one whose base follows its recorded pose, shared by all trials."""
 _MODELS: weakref.WeakKeyDictionary[Realization, dict[tuple[str | None, ...], mujoco.MjModel]] = (
     weakref.WeakKeyDictionary()
 )

@@ -141,6 +141,9 @@ class BatchModels:
     @cached_property
     def contact(self) -> ContactGeoms:
         """Return the surfaces that the robot touches, or nearly touches, at measured positions."""
+        if any(s.base is not None for s in self.segments):
+            # Recordings in which such a robot touches something are refused.
+            return ContactGeoms()
         poses = [s.position for s in self.segments]
         return find_contact_geoms(self.segments[0].model, self.layout.joint_ids, poses)
 

@@ -12,6 +12,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +48,7 @@ from pytest_twin.effects.sampling import (
 )
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.effects.simulation_cache import SimulationCache, row_keys
+from pytest_twin.realization.driven_base import BaseCourse
 from pytest_twin.realization.engine import BatchError
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores, threads_here, usable_cores
@@ -64,6 +66,19 @@ class _StepCount:
 
     simulated_steps: int = 0
     cached_steps: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _BaseForces:
+    """Forces that move floating bases along their recorded poses.
+
+    Attributes:
+        dof: degrees of freedom of the base.
+        at_steps: (steps, rows, 6) N and N*m.
+    """
+
+    dof: slice
+    at_steps: FloatArray
 
 
 class BatchSimulator:
@@ -105,6 +120,7 @@ class BatchSimulator:
         self.fixed: EffectValues = fixed or {}
         self._count = _StepCount()
         self._cache = SimulationCache()
+        self._courses: dict[tuple[int, float, int], BaseCourse] = {}
         idle = np.array([self._holding_commands(s) for s in self.segments])
         followable = self.models.command_range(np.arange(len(self.segments)))
         self._commands = CommandsOverSteps(self.segments, self.timestep, idle, *followable)
@@ -414,11 +430,12 @@ class BatchSimulator:
         added = self._forces_at_steps(rows, steps)
         with suppress_mujoco_warnings():
             prepared = self.prepare_batch(rows, effects)
+            base = self._drive_base(prepared, rows, steps)
             if any(hooks.values()) or self.layout.is_unactuated.any() or added is not None:
                 self._set_initial_state(prepared, rows, effects, hooks)
-                motion = self._step_through(prepared, hooks, commands, added)
+                motion = self._step_through(prepared, hooks, commands, added, base)
             else:
-                motion = self._roll_out(prepared, commands)
+                motion = self._roll_out(prepared, commands, base)
         failed = prepared.batch.warning[:, :, 1].any(axis=1)
         for array in motion:
             array[:, failed] = np.nan
@@ -439,12 +456,35 @@ class BatchSimulator:
                     out[:, i, j] = np.interp(time, stamps, force)
         return out
 
+    def _drive_base(
+        self, prepared: PreparedBatch, rows: NDArray[np.int64], steps: int
+    ) -> _BaseForces | None:
+        """Put floating bases at their recorded poses; None if no pose was recorded."""
+        bases = [self.segments[r].base for r in rows]
+        if all(base is None for base in bases):
+            return None
+        forces = None
+        qpos, qvel = prepared.batch.bind("qpos"), prepared.batch.bind("qvel")
+        for i, (base, row, start) in enumerate(zip(bases, rows, prepared.world.time, strict=True)):
+            assert base is not None
+            key = int(row), float(start), steps
+            if key not in self._courses:
+                self._courses[key] = base.course(float(start), self.timestep, steps)
+            course = self._courses[key]
+            qpos[i, base.qpos], qvel[i, base.dof] = course.qpos, course.qvel
+            if forces is None:
+                forces = _BaseForces(base.dof, np.empty((steps, len(rows), course.force.shape[1])))
+            forces.at_steps[:, i] = course.force
+        return forces
+
     def _empty_motion(self, steps: int, rows: int) -> Motion:
         """Empty arrays; steps come first, so that all rows of a step are adjacent in memory."""
         q, v = np.empty((2, steps + 1, rows, len(self.joints)))
         return q, v, np.zeros(q.shape)
 
-    def _roll_out(self, prepared: PreparedBatch, commands: FloatArray) -> Motion:
+    def _roll_out(
+        self, prepared: PreparedBatch, commands: FloatArray, base: _BaseForces | None
+    ) -> Motion:
         """Motion of rows whose effects are all in the model fields: one call of the engine."""
         batch, world, layout = prepared.batch, prepared.world, self.layout
         at_qpos, at_dof = as_slice(layout.qpos_index), as_slice(layout.dof_index)
@@ -454,13 +494,24 @@ class BatchSimulator:
         ctrl = batch.bind("ctrl")
         rows, steps = commands.shape[:2]
         driven = layout.driven
-        inputs = np.zeros((rows, steps, ctrl.shape[1]))
-        inputs[:] = ctrl[:, None]
+        width = ctrl.shape[1]
+        spec = int(mujoco.mjtState.mjSTATE_CTRL)
+        if base is not None:
+            spec |= int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+            width += batch.bind("qfrc_applied").shape[1]
+        inputs = np.zeros((rows, steps, width))
+        inputs[:, :, : ctrl.shape[1]] = ctrl[:, None]
+        if base is not None:
+            applied = inputs[:, :, ctrl.shape[1] :]
+            applied[:, :, at_dof] = prepared.constant[:, None]
+            applied[:, :, base.dof] = base.at_steps.swapaxes(0, 1)
         inputs[:, :, layout.control[driven]] = commands[:, :, driven] * layout.scale[driven]
         q, v, effort = self._empty_motion(steps, rows)
         q[0], v[0] = world.position, world.velocity
         try:
-            out = batch.rollout(steps, inputs, record=("qpos", "qvel", "qfrc_actuator"))
+            out = batch.rollout(
+                steps, inputs, control_spec=spec, record=("qpos", "qvel", "qfrc_actuator")
+            )
         except BatchError:
             q[1:], v[1:] = np.nan, np.nan
         else:
@@ -499,6 +550,7 @@ class BatchSimulator:
         hooks: Hooks,
         commands: FloatArray,
         added_forces: FloatArray | None,
+        base: _BaseForces | None,
     ) -> Motion:
         """Motion of rows whose effects or added forces act between the steps of the engine."""
         batch, world, layout = prepared.batch, prepared.world, self.layout
@@ -572,6 +624,8 @@ class BatchSimulator:
                 effort[k][:, is_unactuated] += commanded_effort
             if applies_effort:
                 applied[:, at_dof] = world.applied
+            if base is not None:
+                applied[:, base.dof] = base.at_steps[k]
             ctrl[:, control] = world.setpoint[:, at_driven] * scale
 
         lockstep(batch, steps, act_before_step)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.realization.driven_base import DrivenBase
 from pytest_twin.trial import CommandMode
 from pytest_twin.trial.setpoint import Setpoint
 
@@ -64,6 +65,7 @@ class Segment:
             constraint.
         unrecorded: initial state of the other parts of the model; by default its reference pose
             without commands.
+        base: floating base that moves along its recorded pose, for which ``model`` is made.
     """
 
     trial: int
@@ -86,6 +88,7 @@ class Segment:
     modes: tuple[CommandMode, ...] = ()
     is_interpolated: bool = False
     added_force: tuple[FloatArray, FloatArray] | None = None
+    base: DrivenBase | None = None
 
     def mode_of(self, joint: int) -> CommandMode:
         """Command mode of a joint."""

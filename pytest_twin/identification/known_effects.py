@@ -22,6 +22,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.active_effects import ActiveEffects, active_effects
 from pytest_twin.effects.base import ModelFields, World
 from pytest_twin.realization import Realization
+from pytest_twin.realization.driven_base import BaseStates
 from pytest_twin.realization.inverse_dynamics import InverseDynamics
 
 _IDENTIFIED_ANEW = ("rigid_body", "contact")
@@ -77,6 +78,7 @@ class KnownEfforts:
         motion: tuple[FloatArray, FloatArray],
         delivered: FloatArray,
         recording: WithMetadata,
+        base: BaseStates | None = None,
     ) -> FloatArray:
         """(n, joints) effort by which springs, drag and effects push the joints, N*m or N.
 
@@ -86,6 +88,7 @@ class KnownEfforts:
             time: (n,) equidistant times since the start of the recording, s.
             motion: (n, joints) positions and velocities.
             delivered: (n, joints) efforts of the drives; NaN where they are unknown.
+            base: motion of the floating base, where its pose was recorded.
 
         Raises:
             RecordingError: friction depends on the temperature, and the metadata have none.
@@ -96,7 +99,7 @@ class KnownEfforts:
         if not acting:
             return found
         cold = cold_fraction_of_trial(self.cold_fractions, recording)
-        load = _load(self.realization, self.joints, position, velocity)
+        load = _load(self.realization, self.joints, position, velocity, base)
         step = float(time[1] - time[0])
         drives = np.nan_to_num(delivered)
         whole = [slice(None)]
@@ -172,11 +175,15 @@ def _effect_names(effects: Sequence[AppliedEffect]) -> str:
 
 
 def _load(
-    realization: Realization, joints: Sequence[str], position: FloatArray, velocity: FloatArray
+    realization: Realization,
+    joints: Sequence[str],
+    position: FloatArray,
+    velocity: FloatArray,
+    base: BaseStates | None,
 ) -> FloatArray:
     """(n, joints) gravity and Coriolis effort of the given model, N*m or N."""
     dynamics = InverseDynamics(realization, joints)
-    rows = dynamics.regressor(position, velocity, np.zeros_like(velocity))
+    rows = dynamics.regressor(position, velocity, np.zeros_like(velocity), base)
     found: FloatArray = np.einsum("njlp,lp->nj", rows, dynamics.parameters)
     return found
 

@@ -15,17 +15,15 @@ from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries, Recording
 from pytest_twin.identification.known_effects import KnownEfforts, known_efforts
 from pytest_twin.realization import Realization
+from pytest_twin.realization.driven_base import DrivenBase, drive_base, refuse_contact
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 from pytest_twin.trial import recordings_at
+from pytest_twin.trial.base_motion import base_motion
 from pytest_twin.trial.command_field import choose_command_fields
 from pytest_twin.trial.dropouts import without_dropouts
-from pytest_twin.trial.floating_base import (
-    check_floating_base,
-    is_floating,
-    refuse_moving_base,
-)
+from pytest_twin.trial.floating_base import check_floating_base, is_floating
 from pytest_twin.trial.joint_side import (
     add_shared_efforts,
     effort_factor,
@@ -54,6 +52,9 @@ _GAP = 5.0
 _SHORT_GAP = 0.01
 """Interval, s, up to which a recording is never cut: within it, a motion of 2 Hz leaves a straight
 line by 0.2 % of its amplitude. Logs of 1 kHz have such intervals all over."""
+
+_ENDS_OF_POSES = 15.0
+"""Intervals between poses of the base, at both ends, in which its acceleration is not known."""
 
 AN_AMOUNT = (
     "effort never changes its sign: an amount and no torque; it is not used. Record the signed "
@@ -87,6 +88,7 @@ class MeasuredRecording:
             NaN where there is none; None without any.
         known: efforts of the given model along the motion, beside those of its regressor; None
             for none.
+        base: floating base that moves along its recorded pose; None if none was recorded.
         filter_cutoff: lowest cutoff, Hz, of the filters that ``signals:`` states for these joints;
             None where it states none.
     """
@@ -104,6 +106,7 @@ class MeasuredRecording:
     notes: tuple[str, ...] = ()
     command: FloatArray | None = None
     known: KnownEfforts | None = None
+    base: DrivenBase | None = None
     filter_cutoff: float | None = None
 
     @property
@@ -144,18 +147,54 @@ def read_measured(
         refuse_final(recording.metadata, path, "an identification")
         recording = without_dropouts(recording)
         series, named = _commands_or_states(recording, "state", realization, topics, options)
-        if is_floating(realization.structure, series.names):
-            refuse_moving_base(recording.path, recording.base)
         refuse_backward_stamps(series, recording.path)
-        loose = check_floating_base(realization.structure, series.names, recording.path)
+        loose = check_floating_base(
+            realization.structure, series.names, recording.path,
+            has_pose=recording.base is not None,
+        )  # fmt: skip
         commanded, notes = _commands_at_states(recording, series, realization, topics, options)
         at_joints = _at_joints(series, commanded, recording, signals)
         whole = _in_model(
             _checked_and_unwrapped(at_joints, series.topic, realization, signals), realization
         )
-        before = (*recording.notes, *named)
+        whole, moves = _with_base(whole, recording, series, realization)
+        before = (*recording.notes, *named, *moves)
         found += _stretches(replace(whole, notes=(*before, *whole.notes, *notes, *loose)))
     return found
+
+
+def _with_base(
+    read: MeasuredRecording, recording: Recording, series: JointSeries, realization: Realization
+) -> tuple[MeasuredRecording, tuple[str, ...]]:
+    """Return the recording with the motion of its floating base, and notes on it.
+
+    Raises:
+        RecordingError: the poses do not cover the recording, or the robot touches something.
+    """
+    if recording.base is None or not is_floating(realization.structure, read.joints):
+        return read, ()
+    start = int(series.stamp[stamp_order(series.stamp)][0])
+    motion = base_motion(recording.base, start, float(read.time[-1]), recording.path)
+    joints = [realization.joint_index(joint) for joint in read.joints]
+    model, base, notes = drive_base(realization.model, joints, motion, realization.path)
+    refuse_contact(model, base, joints, read.time, read.position, recording.path)
+    margin = _ENDS_OF_POSES * float(np.median(np.diff(motion.time)))
+    inside = (read.time >= motion.time[0] + margin) & (read.time <= motion.time[-1] - margin)
+    return replace(_rows_of(read, inside), base=base), (motion.note(), *notes)
+
+
+def _rows_of(
+    read: MeasuredRecording, rows: NDArray[np.bool_] | NDArray[np.intp]
+) -> MeasuredRecording:
+    """Return some states of a recording, whose times stay as they are."""
+    return replace(
+        read,
+        time=read.time[rows],
+        position=read.position[rows],
+        velocity=None if read.velocity is None else read.velocity[rows],
+        effort=read.effort[rows],
+        command=None if read.command is None else read.command[rows],
+    )
 
 
 def _commands_or_states(
@@ -482,15 +521,6 @@ def _stretches(whole: MeasuredRecording) -> list[MeasuredRecording]:
     for some in np.split(np.arange(len(whole.time)), cuts):
         if len(some) < _FEWEST:
             continue
-        found.append(
-            replace(
-                whole,
-                start=float(whole.time[some[0]]),
-                time=whole.time[some] - whole.time[some[0]],
-                position=whole.position[some],
-                velocity=None if whole.velocity is None else whole.velocity[some],
-                effort=whole.effort[some],
-                command=None if whole.command is None else whole.command[some],
-            )
-        )
+        part = _rows_of(whole, some)
+        found.append(replace(part, start=float(part.time[0]), time=part.time - part.time[0]))
     return found

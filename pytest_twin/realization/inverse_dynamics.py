@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import ModelError, SpecError
 from pytest_twin.realization import inertia
+from pytest_twin.realization.driven_base import BaseStates
 from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.patch import suggest
 from pytest_twin.realization.reference import Reference
@@ -25,6 +26,8 @@ INERTIAL = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
 named after them where masses are regrouped into it."""
 _ORDER = np.array([_PINOCCHIO_ORDER.index(name) for name in INERTIAL])
 _MASS = INERTIAL.index("m")
+_FREE = 6
+"""Degrees of freedom of a free joint."""
 _LEAST_MASS = 1e-6
 """kg. Below it, the centre of mass (first moment divided by mass) is not accurate."""
 
@@ -32,8 +35,8 @@ _LEAST_MASS = 1e-6
 class InverseDynamics:
     """Joint efforts of a rigid-body tree for a given motion: regressor times inertial parameters.
 
-    Joints that are not named stay at the model's reference. Bodies that are fixed to a link belong
-    to the link.
+    Joints that are not named stay at the model's reference, except a floating base whose motion is
+    given. Bodies that are fixed to a link belong to the link.
 
     Attributes:
         joints: (joints,) names, each with one degree of freedom; the order of all columns.
@@ -61,6 +64,10 @@ class InverseDynamics:
             for name in self.joints
         )
         self.armature = np.array([reference.armature_of(name) for name in self.joints])
+        self._base = _floating_base(self._model, self._ids)
+        self._base_turn = np.eye(3)
+        if self._base is not None:
+            self._base_turn = reference.free_joint_turn(self._base)
         moved = {below for joint in self._ids for below in self._model.subtrees[joint].tolist()}
         self._links = sorted(moved)
         self.links = tuple(self._model.names[index] for index in self._links)
@@ -82,13 +89,18 @@ class InverseDynamics:
         return np.array(stated)[:, _ORDER]
 
     def regressor(
-        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        base: BaseStates | None = None,
     ) -> FloatArray:
         """(n, joints, links, 10) derivatives of joint efforts with respect to inertial parameters.
 
         Args:
             position: (n, joints) coordinates of the model, rad or m.
             velocity, acceleration: (n, joints) rad/s, rad/s^2, or m/s, m/s^2.
+            base: motion of the floating base that carries the joints; at rest by default.
         """
         model, data = self._model, self._data
         rows = self._rows
@@ -96,7 +108,7 @@ class InverseDynamics:
         columns = (starts[:, None] + _ORDER).ravel()
         # One flat index per instant: separate indexing would take longer than the regressor.
         places = (rows[:, None] * (10 * (model.njoints - 1)) + columns).ravel()
-        q, v, a = self._states(position, velocity, acceleration)
+        q, v, a = self._states(position, velocity, acceleration, base)
         found = np.empty((len(position), len(places)))
         for at in range(len(position)):
             whole = pin.computeJointTorqueRegressor(model, data, q[at], v[at], a[at])
@@ -109,6 +121,7 @@ class InverseDynamics:
         velocity: FloatArray,
         acceleration: FloatArray,
         parameters: FloatArray,
+        base: BaseStates | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Derivatives of joint efforts with respect to the motion, without armature.
 
@@ -119,6 +132,7 @@ class InverseDynamics:
             position: (n, joints) coordinates of the model, rad or m.
             velocity, acceleration: (n, joints) rad/s, rad/s^2, or m/s, m/s^2.
             parameters: (links, 10) inertial parameters, which may be physically inconsistent.
+            base: motion of the floating base that carries the joints; at rest by default.
 
         Returns:
             (n, joints, joints) by position, by velocity, and by acceleration; the last index is
@@ -127,18 +141,15 @@ class InverseDynamics:
         # Pinocchio divides by the mass of a link. Efforts are linear in it.
         added = np.zeros_like(parameters)
         added[np.abs(parameters[:, _MASS]) < _LEAST_MASS, _MASS] = 1.0
-        by_q, by_v, by_a = self._derivatives(position, velocity, acceleration, parameters + added)
+        states = self._states(position, velocity, acceleration, base)
+        by_q, by_v, by_a = self._derivatives(states, parameters + added)
         if added.any():
-            own = self._derivatives(position, velocity, acceleration, added)
+            own = self._derivatives(states, added)
             by_q, by_v, by_a = by_q - own[0], by_v - own[1], by_a - own[2]
         return by_q, by_v, by_a
 
     def _derivatives(
-        self,
-        position: FloatArray,
-        velocity: FloatArray,
-        acceleration: FloatArray,
-        parameters: FloatArray,
+        self, states: tuple[FloatArray, FloatArray, FloatArray], parameters: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The same as :meth:`derivatives`; masses are 0 only for links without inertia."""
         model = self._model.copy()
@@ -152,9 +163,9 @@ class InverseDynamics:
         data = model.createData()
         rows = self._rows
         square = np.ix_(rows, rows)
-        q, v, a = self._states(position, velocity, acceleration)
-        by_q, by_v, by_a = np.empty((3, len(position), len(rows), len(rows)))
-        for at in range(len(position)):
+        q, v, a = states
+        by_q, by_v, by_a = np.empty((3, len(q), len(rows), len(rows)))
+        for at in range(len(q)):
             pin.computeRNEADerivatives(model, data, q[at], v[at], a[at])
             by_q[at], by_v[at] = data.dtau_dq[square], data.dtau_dv[square]
             by_a[at] = data.M[square]
@@ -168,12 +179,37 @@ class InverseDynamics:
         return np.array([self._model.joints[i].idx_v for i in self._ids], dtype=np.intp)
 
     def _states(
-        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        base: BaseStates | None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n, nq) configurations of Pinocchio, (n, nv) velocities, (n, nv) accelerations."""
         v, a = np.zeros((2, len(position), self._model.nv))
         v[:, self._rows], a[:, self._rows] = velocity, acceleration
-        return self._configurations(position), v, a
+        q = self._configurations(position)
+        if base is not None and self._base is not None:
+            self._set_base(base, q, v, a)
+        return q, v, a
+
+    def _set_base(self, base: BaseStates, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
+        """Set the motion of the floating base, on whose place no effort depends."""
+        # Half a second of imports that only recorded bases need.
+        from scipy.spatial.transform import Rotation
+
+        assert self._base is not None
+        joint = self._model.joints[self._base]
+        pose, velocity, acceleration = base
+        turn = Rotation.from_quat(pose[:, [4, 5, 6, 3]])
+        in_joint = Rotation.from_matrix(self._base_turn.T) * turn
+        q[:, joint.idx_q + 3 : joint.idx_q + 7] = in_joint.as_quat()
+        linear, angular = turn.inv().apply(velocity[:, :3]), velocity[:, 3:]
+        # Pinocchio's linear part is in the axes of the base, which turn.
+        v[:, joint.idx_v : joint.idx_v + 6] = np.hstack([linear, angular])
+        a[:, joint.idx_v : joint.idx_v + 6] = np.hstack([
+            turn.inv().apply(acceleration[:, :3]) - np.cross(angular, linear), acceleration[:, 3:],
+        ])  # fmt: skip
 
     def _configurations(self, position: FloatArray) -> FloatArray:
         """(n, nq) configurations of Pinocchio, which has cosine and sine for unbounded hinges."""
@@ -277,6 +313,14 @@ def _bodies_of(realization: NamedModel, reference: Reference) -> dict[int, list[
         own = moments(float(model.body_mass[index]), model.body_ipos[index], tensor, placement)
         found.setdefault(joint, []).append(LinkBody(name, placement, own))
     return found
+
+
+def _floating_base(model: pin.Model, joints: Sequence[int]) -> int | None:
+    """Index of the free joint that carries the joints; None without one."""
+    for above in model.supports[joints[0]].tolist() if joints else ():
+        if model.joints[above].nv == _FREE:
+            return int(above)
+    return None
 
 
 def _scalar_joint_id(realization: NamedModel, reference: Reference, name: str) -> int:

@@ -68,6 +68,14 @@ class Reference:
         """Armature of a joint in the model, kg*m^2 or kg."""
         return self._rigid.armature.get(joint, 0.0)
 
+    def free_joint_turn(self, joint: int) -> Vector:
+        """(3, 3) orientation in the world of the frame to which a free joint's value refers.
+
+        Args:
+            joint: its index in Pinocchio.
+        """
+        return np.asarray(self._free_joint_origin(self.model.joints[joint]).rotation)
+
     def frame_pose(self, q: Mapping[str, Value], frame: str) -> Vector:
         """Pose (4, 4) of a site or body in the world, m; a site takes precedence over a body."""
         if frame not in self._rigid.frames:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import marshal
 import re
 import sys
 from pathlib import Path
+from types import CodeType
+
+import pytest
+from _pytest.assertion import rewrite
 
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.paths import read_bytes
@@ -16,29 +21,33 @@ _MAX_BYTES = 64 * 2**20
 _HEADER_BYTES = 16
 """Magic number, flags, and time and size, or the hash, of the source (PEP 552)."""
 _HASH_BASED, _CHECK_SOURCE = 0b01, 0b10
+_SUFFIXES = (".pyc", ".pyo")
+_OF_PYTEST = "-pytest-"
 _OF_A_PYTHON = re.compile(r"(cpython|pypy|graalpy)-?\d")
 
 
 def caches_of(source: Path) -> list[Path]:
-    """Caches of a module's source that this Python may run.
-
-    Those of pytest, which rewrites assertions, are left out: nothing public makes them again.
-    """
+    """Caches of a module's source that this Python, or its pytest, may run."""
     folder = source.parent / "__pycache__"
-    caches = folder.glob(f"{source.stem}.{sys.implementation.cache_tag}*.pyc")
-    return sorted(cache for cache in caches if "-pytest-" not in cache.name)
+    return sorted(folder.glob(f"{source.stem}.{sys.implementation.cache_tag}*.py[co]"))
 
 
-def is_of_its_source(cache: Path) -> bool:
-    """Whether a file in ``__pycache__`` changes nothing: Python would make the same of the source.
+def is_of_its_source(cache: Path, config: pytest.Config) -> bool:
+    """Whether a file in ``__pycache__`` changes nothing: the source would give the same code.
 
-    This is also so if the cache is of another version of Python, or of an earlier source: neither
-    is run. It is not known of a cache of pytest, which rewrites assertions: False.
+    This is also so if the cache is of another version of Python or of pytest, or of an earlier
+    source: none of these is run.
+
+    Args:
+        config: settings of this run, on which pytest's rewriting of assertions depends.
     """
-    tag = cache.name.partition(".")[2].removesuffix(".pyc")
-    if cache.suffix != ".pyc" or not _OF_A_PYTHON.match(tag):
+    tag = cache.name.partition(".")[2].removesuffix(cache.suffix)
+    if cache.suffix not in _SUFFIXES or not _OF_A_PYTHON.match(tag):
         return False
-    if not tag.startswith(sys.implementation.cache_tag):
+    is_of_pytest = _OF_PYTEST in tag
+    if not tag.startswith(sys.implementation.cache_tag) or (
+        is_of_pytest and tag != rewrite.PYTEST_TAG
+    ):
         return True
     source = cache.parent.parent / f"{cache.name.partition('.')[0]}.py"
     try:
@@ -47,11 +56,21 @@ def is_of_its_source(cache: Path) -> bool:
             return True
         # Python has read this file in the same way, if it has run it.
         code = marshal.loads(compiled[_HEADER_BYTES:])
+        if is_of_pytest:
+            return bool(code == _rewritten(text, source, config))
         level = int(tag.rpartition(".opt-")[2]) if ".opt-" in tag else 0
         plain = compile(text, str(source), "exec", dont_inherit=True, optimize=level)
         return bool(code == plain)
     except (TwinError, OSError, ValueError, EOFError, TypeError, SyntaxError):
         return False
+
+
+def _rewritten(text: bytes, source: Path, config: pytest.Config) -> CodeType:
+    """The code that pytest makes of a source, whose assertions it rewrites."""
+    tree = ast.parse(text, filename=str(source))
+    rewrite.rewrite_asserts(tree, text, str(source), config)
+    code: CodeType = compile(tree, str(source), "exec", dont_inherit=True)
+    return code
 
 
 def _is_run(compiled: bytes, source: Path, text: bytes) -> bool:

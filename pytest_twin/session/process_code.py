@@ -49,7 +49,7 @@ def process_code(config: pytest.Config, root: Path, tests: Collection[Path]) -> 
         problems += [
             f"{cache}: is not the bytecode of {path.name}, and Python runs it (expected: delete it)"
             for cache in caches_of(path)
-            if not is_of_its_source(cache)
+            if not is_of_its_source(cache, config)
         ]
         try:
             files[path] = file_sha256(path)
@@ -147,15 +147,28 @@ def _hiding_modules(config: pytest.Config, root: Path) -> Iterator[str]:
             if (
                 name not in _FREE_NAMES
                 and _is_of_the_gate(name, children)
-                and not _is_copy_of_installed(name, path, children)
+                and not _is_copy_of_installed(name, path, children, config)
             ):
                 yield (
                     f"{path}: hides the installed module {name!r} in this process (expected "
-                    "another name, or `pytest` instead of `python -m pytest`)"
+                    f"{_way_out(Path(entry), config)})"
                 )
 
 
-def _is_copy_of_installed(name: str, path: Path, children: list[str]) -> bool:
+def _way_out(folder: Path, config: pytest.Config) -> str:
+    """What to do about a module in ``folder`` that hides an installed one."""
+    way = "another name"
+    if any((folder / name).is_file() for name in ("pyproject.toml", "setup.py")):
+        way = f"the files of the installed one: pip install {folder}"
+    if folder == config.invocation_params.dir and not (folder / "conftest.py").is_file():
+        # A conftest.py also puts its folder on the import path.
+        way += ", or `pytest` instead of `python -m pytest`"
+    return way
+
+
+def _is_copy_of_installed(
+    name: str, path: Path, children: list[str], config: pytest.Config
+) -> bool:
     """Whether each file of the module at ``path`` is a copy of one of the installed module.
 
     This is so in a checkout of pytest-twin itself. Compiled modules count, because Python may run
@@ -170,7 +183,7 @@ def _is_copy_of_installed(name: str, path: Path, children: list[str]) -> bool:
     installed = Path(spec.origin).parent
     return all(
         _same_content(file, installed / file.relative_to(path))
-        or (file.parent.name == "__pycache__" and is_of_its_source(file))
+        or (file.parent.name == "__pycache__" and is_of_its_source(file, config))
         for file in path.rglob("*")
         if not file.is_dir()
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import comb
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 _FEWEST = 10
 # Usual intervals without a pose that are bridged, at the ends and between poses.
 _BRIDGED = 5.0
+# Residual of the smooth motion, in standard deviations of the noise, the order of the differences
+# that show this noise, and the stiffness of a spline below which it meets all values.
+_FARTHEST, _ORDER, _SOFTEST = 1.5, 6, 1e-18
 # A step of this many usual steps, and of this size (m or rad), is a new map and no motion.
 _JUMP, _JUMP_SIZE = 30.0, 0.05
 
@@ -70,12 +74,30 @@ class BaseMotion:
 
     @cached_property
     def _curves(self) -> tuple[BSpline, BSpline]:
-        from scipy.interpolate import make_smoothing_spline
+        return _smoothed(self.time, self.position), _smoothed(self.time, self.quaternion)
 
-        return (
-            make_smoothing_spline(self.time, self.position),
-            make_smoothing_spline(self.time, self.quaternion),
-        )
+
+def _smoothed(time: FloatArray, values: FloatArray) -> BSpline:
+    """Spline through (k, n) values that is no farther from them than their noise explains.
+
+    The minimum of cross-validation may be at a stiffness that follows no motion; the stiffness is
+    then the largest one whose residual is that of the noise.
+    """
+    from scipy.interpolate import make_smoothing_spline
+
+    allowed = _FARTHEST * _noise(values)
+    found = make_smoothing_spline(time, values)
+    stiffness = float(time[-1] - time[0]) ** 3
+    while np.sqrt(np.mean((found(time) - values) ** 2)) > allowed and stiffness > 0.0:
+        stiffness = 0.1 * stiffness if stiffness > _SOFTEST else 0.0
+        found = make_smoothing_spline(time, values, lam=stiffness)
+    return found
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of white noise, from differences of such an order that motion has none."""
+    differences = np.diff(values, _ORDER, axis=0)
+    return float(np.sqrt(np.mean(differences**2) / comb(2 * _ORDER, _ORDER)))
 
 
 def base_motion(poses: BasePoses, start: int, duration: float, path: Path) -> BaseMotion:

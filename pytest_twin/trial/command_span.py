@@ -18,13 +18,16 @@ MOVES = 0.02
 """rad or m. A joint that moves less (peak to peak) rests at its setpoint."""
 _LEAST_SAMPLES = 10
 """States outside the commands below which no motion is judged."""
+_LATE = 0.05
+"""s. A first velocity or effort that is at most this late is taken to hold from the start."""
 
 
 def within_commands(trial: Trial) -> Trial:
     """Return the part of a trial in which the commands of all moving joints are known.
 
-    A joint that rests at its first command is taken to be held by it until then. If it moves, or
-    rests elsewhere, its commands are not recorded, and the trial begins at the first one. After its
+    A joint that rests at its first position command is taken to be held by it until then. If it
+    moves, or rests elsewhere, its commands are not recorded, and the trial begins at the first one.
+    So it does under velocity and effort commands, whose first value would move the joint. After its
     last command of a regular stream, a joint under position commands settles. If it still moves in
     the second half of that time, the trial ends at the last command. In other cases the last
     command holds.
@@ -39,8 +42,12 @@ def within_commands(trial: Trial) -> Trial:
         times = _own_times(trial, column)
         position = trial.position[:, trial.joints.index(joint)]
         before = trial.time < times[0]
+        mode = trial.command_modes[column]
         moved = _span(position[before])
-        away = _away_from(position[before], trial.command[:, column], trial.command_modes[column])
+        away = _away_from(position[before], trial.command[:, column], mode)
+        if mode != "position" and moved <= MOVES and times[0] > begin + _LATE:
+            begin = float(times[0])
+            notes.append(f"the first {mode} command of {joint!r} is at {times[0]:.4g} s")
         if moved <= MOVES < away:
             begin = max(begin, float(times[0]))
             notes.append(
@@ -56,7 +63,7 @@ def within_commands(trial: Trial) -> Trial:
         after = trial.time > 0.5 * (times[-1] + trial.time[-1])
         moved = _span(position[after])
         stopped = _is_stream(times, float(trial.time[-1]))
-        if stopped and moved > MOVES and trial.command_modes[column] == "position":
+        if stopped and moved > MOVES and mode == "position":
             end = min(end, float(times[-1]))
             notes.append(
                 f"{joint!r} still moves by {moved:.3g} rad or m long after its last command at "

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import RecordingError
-from pytest_twin.formats.base_pose import BasePoses
-from pytest_twin.trial.base_motion import BaseMotion
 from pytest_twin.words import list_names
 
 
@@ -64,24 +62,6 @@ def is_floating(structure: Structure, recorded: Sequence[str]) -> bool:
                 return True
             body = structure.body_parent.get(body)
     return False
-
-
-def refuse_moving_base(path: Path, base: BaseMotion | BasePoses | None) -> None:
-    """Check that the base of the robot does not move, for what estimates effects.
-
-    Args:
-        base: recorded motion of a floating base.
-
-    Raises:
-        RecordingError: it moves along a recorded pose.
-    """
-    if base is not None:
-        raise RecordingError(
-            "effects are not estimated along the recorded pose of a floating base",
-            path=path, where=base.source,
-            expected="a robot that a rig held: --base fixed, or 'base: fixed' in twin.yaml; replay "
-            "and its goldens follow the pose",
-        )  # fmt: skip
 
 
 def _is_held(structure: Structure, body: str) -> bool:

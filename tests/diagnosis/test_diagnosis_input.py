@@ -267,27 +267,6 @@ def test_a_recording_may_begin_during_a_motion(bench: Bench, late: float) -> Non
     assert len(not_commanded) == (3 if late else 0)
 
 
-def test_windows_begin_with_the_first_command(bench: Bench) -> None:
-    (trial,) = bench.read(bench.add("a.mcap")).fit
-    trial = replace(trial, command_time=trial.command_time + 0.3)
-    joints = bench.loaded.realization.structure.joint_type
-    arguments = bench.loaded.realization, trial, 0, list(joints)
-    assert segments_of(*arguments, Cutting(0.5))[0].start < 0.05
-    windows = segments_of(*arguments, Cutting(0.5, commanded=True))
-    assert windows[0].start >= 0.3
-    assert all((w.time >= 0.3).all() for w in windows)
-    (whole,) = segments_of(*arguments, Cutting(commanded=True))
-    assert whole.start == whole.time[0] == pytest.approx(0.3)
-    # Also if the rest is shorter than a window.
-    (rest,) = segments_of(*arguments, Cutting(2.0, commanded=True))
-    assert rest.start == rest.time[0] == pytest.approx(0.3)
-    # A first command that is slightly late is held from the start.
-    trials = bench.read(bench.add("b.mcap", sent_at=bench.sent_at + 0.03))
-    late = bench.loaded.realization, trials.fit[0], 0, list(joints)
-    (whole,) = segments_of(*late, Cutting(commanded=True))
-    assert whole.start == 0.0
-
-
 @pytest.mark.parametrize("every", [1, 15, 30])
 def test_windows_contain_enough_samples_at_any_sampling_rate(bench: Bench, every: int) -> None:
     (trial,) = bench.read(bench.add("a.mcap")).fit

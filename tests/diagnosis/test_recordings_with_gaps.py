@@ -114,8 +114,8 @@ def test_a_part_after_a_gap_begins_in_motion_when_lost_commands_have_no_influenc
     first, second = bench.read(
         bench.write_recording_with_gaps("a.mcap", bench.seen, (150, 180))
     ).fit
-    (from_rest,) = segments_of(bench.realization, first, 0, ("j1",), Cutting(commanded=True))
-    (later,) = segments_of(bench.realization, second, 1, ("j1",), Cutting(commanded=True))
+    (from_rest,) = segments_of(bench.realization, first, 0, ("j1",), Cutting(skips_hole=True))
+    (later,) = segments_of(bench.realization, second, 1, ("j1",), Cutting(skips_hole=True))
     assert not from_rest.starts_in_motion
     assert later.starts_in_motion
     assert later.start == pytest.approx(WARM_UP_TIME, abs=0.1)

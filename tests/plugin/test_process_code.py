@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pluggy
 import pytest
+from _pytest.assertion import rewrite
 
 from pytest_twin import release
 from pytest_twin.session.process_code import _is_copy_of_installed
@@ -106,7 +107,8 @@ def test_a_module_that_hides_one_of_the_library_prevents_a_release(recorded) -> 
     # pytest puts the folder of a conftest.py on the import path.
     recorded.write("conftest.py", "")
     done = run_as_user(recorded, "--twin-release")
-    assert "token.py: hides the installed module 'token' in this process (" in done.stdout
+    hidden = "token.py: hides the installed module 'token' in this process (expected another name)"
+    assert hidden in done.stdout
     assert recorded.releases == []
 
 
@@ -119,27 +121,44 @@ def test_a_copy_of_an_installed_module_hides_nothing(recorded) -> None:
     recorded.write("token.py", Path(token.__file__).read_text(encoding="utf-8") + MARK)
     done = run_as_user(recorded, "--twin-release")
     assert "hides the installed module 'token'" in done.stdout
+    recorded.write("pyproject.toml", "")
+    done = run_as_user(recorded, "--twin-release")
+    assert f"(expected the files of the installed one: pip install {recorded.root})" in done.stdout
 
 
-def test_a_package_is_a_copy_with_equal_files_only(tmp_path: Path) -> None:
+def test_a_package_is_a_copy_with_equal_files_only(
+    tmp_path: Path, pytestconfig: pytest.Config
+) -> None:
+    def is_copy() -> bool:
+        return _is_copy_of_installed("pluggy", copy, sys.path, pytestconfig)
+
     package = Path(pluggy.__file__).parent
     copy = tmp_path / "pluggy"
     shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    assert _is_copy_of_installed("pluggy", copy, sys.path)
+    assert is_copy()
     # Python runs a compiled module in place of its source where the module says so.
     compiled = copy / "__pycache__" / "_hooks.pyc"
     compiled.parent.mkdir()
     compiled.write_bytes(b"")
-    assert not _is_copy_of_installed("pluggy", copy, sys.path)
+    assert not is_copy()
     compiled.unlink()
     # What Python keeps of the copy itself, and a cache that Python no longer runs, change nothing.
     cache = Path(py_compile.compile(str(copy / "_hooks.py")))
-    assert _is_copy_of_installed("pluggy", copy, sys.path)
+    assert is_copy()
     other = Path(py_compile.compile(str(copy / "_manager.py"))).read_bytes()
     cache.write_bytes(other)
-    assert _is_copy_of_installed("pluggy", copy, sys.path)
+    assert is_copy()
     cache.write_bytes(header_for(copy / "_hooks.py") + other[16:])
-    assert not _is_copy_of_installed("pluggy", copy, sys.path)
+    assert not is_copy()
+    cache.unlink()
+    # What pytest keeps of it is compared in the same way.
+    source = copy / "_hooks.py"
+    of_pytest = cache.with_name(f"_hooks.{rewrite.PYTEST_TAG}.pyc")
+    _, code = rewrite._rewrite_test(source, pytestconfig)
+    of_pytest.write_bytes(header_for(source) + marshal.dumps(code))
+    assert is_copy()
+    of_pytest.write_bytes(header_for(source) + other[16:])
+    assert not is_copy()
 
 
 def header_for(source: Path) -> bytes:
@@ -163,6 +182,19 @@ def test_a_forged_bytecode_cache_prevents_a_release(recorded) -> None:
     done = run_as_user(recorded, "--twin-release")
     assert f"{cache}: is not the bytecode of helper.py, and Python runs it" in done.stdout
     assert recorded.releases == []
+
+
+def test_a_forged_cache_of_pytest_prevents_a_release(recorded) -> None:
+    """pytest runs its own cache, in which the assertions are rewritten."""
+    conftest = recorded.write("conftest.py", "def sound(value):\n    assert value == 1, value\n")
+    for _ in range(2):
+        assert run_as_user(recorded, "--twin-release").returncode == 0
+    (cache,) = (recorded.root / "__pycache__").glob("conftest.*-pytest-*.pyc")
+    code = compile("VALUE = 2\n", str(conftest), "exec")
+    cache.write_bytes(header_for(conftest) + marshal.dumps(code))
+    done = run_as_user(recorded, "--twin-release")
+    assert f"{cache}: is not the bytecode of conftest.py, and Python runs it" in done.stdout
+    assert len(recorded.releases) == 1
 
 
 def test_bytecode_caches_of_test_modules_prevent_no_release(recorded) -> None:

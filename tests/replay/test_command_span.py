@@ -11,7 +11,9 @@ import pytest
 from replay_trials import ARM, recording, series
 
 from pytest_twin import cli
+from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.formats.mcap import write_recording
+from pytest_twin.realization import load
 from pytest_twin.trial import make_trials
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
@@ -182,3 +184,40 @@ def test_a_joint_that_rests_away_from_its_late_first_command_is_replayed_from_it
         )
     )
     assert held[0].offset == 0.0
+
+
+@pytest.mark.parametrize("field", ["velocity", "effort"])
+def test_a_late_first_velocity_or_effort_does_not_act_before_it_was_sent(field: str) -> None:
+    """A joint may rest before it, with its brake on; the value would move it from the start."""
+    time, sent = np.arange(300) * 0.01, 1.0 + np.arange(200) * 0.01
+    position = 0.2 * np.clip(time - 1.0, 0.0, None) ** 2
+    states = series("/joint_states", ("x",), time, position=position)
+    commands = series("/joint_commands", ("x",), sent, **{field: np.full(200, 0.4)})
+    (part,) = make_trials(recording(states, commands))
+    assert part.offset == pytest.approx(1.0)
+    assert f"the first {field} command of 'x' is at 1 s" in " ".join(part.notes)
+    in_time = series("/joint_commands", ("x",), sent - 0.97, **{field: np.full(200, 0.4)})
+    assert make_trials(recording(states, in_time))[0].offset == 0.0
+
+
+@pytest.mark.parametrize("seconds", [0.4, 3.0])
+def test_a_diagnosis_simulates_the_time_that_a_replay_simulates(
+    tmp_path: Path, seconds: float
+) -> None:
+    """Both begin where the trial does, also if little remains after a late first command."""
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body><joint name="x" axis="0 1 0"/><geom size=".1" mass="1"/></body>'
+        '</worldbody><actuator><position joint="x" kp="9"/></actuator></mujoco>'
+    )
+    time = np.arange(round((1.0 + seconds) / 0.01)) * 0.01
+    sent = time[time >= 1.0]
+    for position, offset in ((0.3 + 0.0 * time, 0.0), (0.3 * np.sin(3.0 * time), 1.0)):
+        states = series("/joint_states", ("x",), time, position=position)
+        commands = series("/joint_commands", ("x",), sent, position=np.full(len(sent), 0.3))
+        (trial,) = make_trials(recording(states, commands))
+        assert trial.offset == offset
+        robot = load(tmp_path / "arm.xml")
+        segment = segments_of(robot, trial, 0, ("x",), Cutting(skips_hole=True))[-1]
+        assert segment.time[-1] == trial.time[-1]
+        if not offset:
+            assert segment.start == segment.time[0] == 0.0

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from pytest_twin import cli
+from pytest_twin.trial.base_motion import BaseMotion
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
 import sensor_bags
@@ -105,6 +106,21 @@ def test_noise_of_the_pose_is_smoothed(tmp_path: Path) -> None:
     assert max(rms(replayed(tmp_path, write(tmp_path, poses)))) < 5 * NOISE
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 3e-4])
+def test_no_motion_is_smoothed_away(noise: float) -> None:
+    """Cross-validation alone chose a straight line for some of these motions."""
+    time = np.arange(400) * 0.01
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        rates = random.uniform(2.0, 8.0, 3)
+        position = 0.2 * np.sin(rates * time[:, None]) * np.clip(time, 0.0, 1.0)[:, None]
+        position += noise * random.standard_normal(position.shape)
+        turns = np.tile([1.0, 0.0, 0.0, 0.0], (400, 1))
+        motion = BaseMotion("pose", "", time, position, turns)
+        left = motion.at(time)[0] - position
+        assert np.sqrt(np.mean(left**2)) < 1.6 * noise + 1e-4
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -124,16 +140,25 @@ def test_unusable_poses_are_refused_in_one_line(
     assert error.count("\n") == 1
 
 
-def test_estimates_of_effects_are_refused_and_show_says_it(
+def test_estimates_are_refused_where_the_robot_touches_something(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The forces of a foot on the ground are not recorded."""
     log = write(tmp_path, moved()[3])
+    floor = '<geom name="floor" type="plane" size="3 3 .1" pos="0 0 0.45"/><body name="trunk"'
+    (tmp_path / "free.xml").write_text(FREE.replace('<body name="trunk"', floor))
     for command in ("diagnose", "identify"):
         arguments = [command, str(tmp_path / "free.xml"), str(log), "--out", str(tmp_path / "d")]
         assert cli.main(arguments) == 2
         error = capsys.readouterr().err
-        assert "effects are not estimated along the recorded pose of a floating base" in error
-        assert "--base fixed" in error
+        assert "effects are not estimated while the robot of a recorded base pose touches" in error
+        assert "'foot'" in error
+        assert "mm deep" in error
+        assert error.count("pytest-twin ") == 1
+
+
+def test_show_says_that_the_base_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write(tmp_path, moved()[3])
     assert cli.main(["show", str(tmp_path / "free.xml"), str(log)]) == 0
     shown = capsys.readouterr().out
     assert "the base moves along the 400 poses" in shown

@@ -83,6 +83,7 @@ def rigid_terms(
     motion = (trajectory.position, trajectory.velocity) if increments is None else trajectory.midway
     q, v, a = (x[:, at] for x in (*motion, trajectory.acceleration))
     rows = np.asarray(trajectory.segments)
+    base = _base_states(simulator, trajectory, at)
     cores = free_cores(simulator.threads) if copies * q[..., 0].size > _MIN_TERMS_FOR_FORKS else 1
     per = min(max(1, _MAX_MODELS // segments), -(-copies // cores))
 
@@ -109,13 +110,22 @@ def rigid_terms(
                 many_q, many_v = (
                     x[:, some] + increment[:, i, None, None] for i, x in enumerate((q, v))
                 )
+                if base is not None:
+                    pose, speed = (
+                        np.tile(of[:, some], (len(part), 1, 1)).reshape(len(qpos), -1)
+                        for of in (base.position, base.velocity)
+                    )
+                    qpos[:, base.qpos], qvel[:, base.dof] = pose, speed
                 qpos[:, simulator.layout.qpos_index] = many_q.reshape(-1, joints)
                 qvel[:, simulator.layout.dof_index] = many_v.reshape(-1, joints)
                 batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
                 packed[:, :, some] = mass_out.reshape(*shape, -1)
                 bias[:, :, some] = bias_out[:, simulator.layout.dof_index].reshape(*shape, -1)
-        mass = _full_mass(simulator, packed)
+        mass = _mass_block(simulator, packed, simulator.layout.dof_index)
         effort = bias + np.einsum("cskij,skj->cski", mass, a)
+        if base is not None:
+            coupled = _mass_block(simulator, packed, np.arange(base.dof.start, base.dof.stop))
+            effort += np.einsum("cskij,skj->cski", coupled, base.acceleration)
         return [RigidTerms(at, *each) for each in zip(mass, effort, bias, strict=True)]
 
     if cores > 1:
@@ -323,17 +333,54 @@ def upsample(values: FloatArray, at: NDArray[np.int64], samples: int) -> FloatAr
     return out
 
 
-def _full_mass(simulator: BatchSimulator, packed: FloatArray) -> FloatArray:
-    """(..., joints, joints) symmetric matrix from MuJoCo's lower triangle in compressed rows."""
+def _mass_block(
+    simulator: BatchSimulator, packed: FloatArray, columns: NDArray[np.int64]
+) -> FloatArray:
+    """(..., joints, columns) block of a symmetric matrix from MuJoCo's compressed lower triangle.
+
+    Args:
+        columns: degrees of freedom of the columns.
+    """
     model = simulator.segments[0].model
-    of = np.full(model.nv, -1)
-    of[simulator.layout.dof_index] = np.arange(len(simulator.layout.dof_index))
-    n = len(simulator.layout.dof_index)
-    full = np.zeros((*packed.shape[:-1], n, n))
+    rows = simulator.layout.dof_index
+    row_of, column_of = np.full((2, model.nv), -1)
+    row_of[rows], column_of[columns] = np.arange(len(rows)), np.arange(len(columns))
+    block = np.zeros((*packed.shape[:-1], len(rows), len(columns)))
     for row in range(model.nv):
         start = model.M_rowadr[row]
         for k in range(start, start + model.M_rownnz[row]):
-            i, j = of[row], of[model.M_colind[k]]
-            if i >= 0 and j >= 0:
-                full[..., i, j] = full[..., j, i] = packed[..., k]
-    return full
+            for one, other in ((row, model.M_colind[k]), (model.M_colind[k], row)):
+                i, j = row_of[one], column_of[other]
+                if i >= 0 and j >= 0:
+                    block[..., i, j] = packed[..., k]
+    return block
+
+
+@dataclass(frozen=True, slots=True)
+class _BaseStates:
+    """Recorded motion of a floating base.
+
+    Attributes:
+        qpos, dof: its places in the model's coordinates and velocities.
+        position: (segments, n, 7) coordinates.
+        velocity, acceleration: (segments, n, 6).
+    """
+
+    qpos: slice
+    dof: slice
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
+def _base_states(
+    simulator: BatchSimulator, trajectory: MeasuredTrajectory, at: NDArray[np.int64]
+) -> _BaseStates | None:
+    """The motion of the base at samples of a motion; None if it does not move."""
+    bases = [simulator.segments[s].base for s in trajectory.segments]
+    moving = [base for base in bases if base is not None]
+    if len(moving) < len(bases):
+        return None
+    states = [base.states(time[at]) for base, time in zip(moving, trajectory.time, strict=True)]
+    position, velocity, acceleration = (np.array(of_all) for of_all in zip(*states, strict=True))
+    return _BaseStates(moving[0].qpos, moving[0].dof, position, velocity, acceleration)

@@ -16,6 +16,7 @@ from scipy import signal
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.identification.measured_recordings import MeasuredRecording
+from pytest_twin.realization.driven_base import BaseStates
 
 _ORDER = 4
 """Order of the Butterworth low-pass filter, which is applied forward and backward."""
@@ -77,6 +78,7 @@ class Motion:
         position, velocity, acceleration: (n, joints), SI units.
         effort: (n, joints) N*m or N, NaN where it is unknown.
         rate: sampling rate, Hz.
+        base: motion of the floating base, where its pose was recorded.
     """
 
     time: FloatArray
@@ -85,6 +87,7 @@ class Motion:
     acceleration: FloatArray
     effort: FloatArray
     rate: float
+    base: BaseStates | None = None
 
 
 def choose_filter(recordings: Sequence[MeasuredRecording]) -> Filter:
@@ -122,7 +125,9 @@ def differentiate(recording: MeasuredRecording, chosen: Filter) -> Motion:
         acceleration=acceleration[::step],
         effort=effort[::step],
         rate=rate / step,
-    )
+        base=None if recording.base is None
+        else recording.base.states(recording.start + even.time[::step]),
+    )  # fmt: skip
 
 
 def decimate(values: FloatArray, rate: float, chosen: Filter) -> FloatArray:

@@ -542,7 +542,10 @@ def _identify(
     joints = everything[0].joints
     unscaled = [j for k, j in enumerate(joints) if any(m.unscaled[k] for m in measured.fit)]
     shared = _shared_motors(joints, signals)
-    regressor = Regressor(realization, joints, shared, unscaled)
+    regressor = Regressor(
+        realization, joints, shared, unscaled,
+        has_moving_base=measured.fit[0].base is not None,
+    )  # fmt: skip
     chosen = choose_filter(measured.fit)
     regressors = [
         _regressor_with_payload(realization, regressor, one, shared, unscaled) for one in everything
@@ -662,7 +665,9 @@ def _regressor_with_payload(
     if payload is None or not unscaled:
         return regressor
     variant = realization.variant(payload=payload)
-    loaded = Regressor(variant, regressor.joints, shared, unscaled)
+    loaded = Regressor(
+        variant, regressor.joints, shared, unscaled, has_moving_base=regressor.has_moving_base
+    )
     return loaded if loaded.columns == regressor.columns else regressor
 
 
@@ -670,10 +675,8 @@ def _base(regressor: Regressor, known: NDArray[np.bool_]) -> BaseParameters:
     """Base parameters of the joints whose effort is known."""
     if known.all():
         return structural_base(regressor)
-    count = len(regressor.joints)
-    samples = 4 * len(regressor.columns)
-    motion = np.random.default_rng(0).uniform(-np.pi, np.pi, (3, samples, count))
-    return base_of(regressor.matrix(*motion)[:, known], regressor.columns)
+    matrix = regressor.random_matrix(4 * len(regressor.columns))
+    return base_of(matrix[:, known], regressor.columns)
 
 
 def _problem(

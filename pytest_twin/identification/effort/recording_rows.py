@@ -99,7 +99,7 @@ def encoder_slopes(
     for motion, own in zip(motions, parameters, strict=True):
         moving = _moving(motion, rest)
         by_position, by_velocity, by_acceleration = regressor.derivatives(
-            motion.position, moving, motion.acceleration, own
+            motion.position, moving, motion.acceleration, own, motion.base
         )
         # The true position is (measured - zero) / (1 + scale).
         zeros.append(inner_rows(-by_position, motion, chosen))
@@ -152,12 +152,16 @@ def _known_efforts(recording: MeasuredRecording, motion: Motion, rest: FloatArra
         return np.zeros_like(motion.effort)
     moving = _moving(motion, rest)
     time = recording.start + motion.time
-    found = recording.known.along(time, (motion.position, moving), motion.effort, recording)
+    found = recording.known.along(
+        time, (motion.position, moving), motion.effort, recording, motion.base
+    )
     return np.where(recording.unscaled, 0.0, found)
 
 
 def _matrix(motion: Motion, regressor: Regressor, chosen: Filter, rest: FloatArray) -> FloatArray:
-    matrix = regressor.matrix(motion.position, _moving(motion, rest), motion.acceleration)
+    matrix = regressor.matrix(
+        motion.position, _moving(motion, rest), motion.acceleration, motion.base
+    )
     return inner_rows(matrix, motion, chosen)
 
 

@@ -134,9 +134,7 @@ def structural_base(regressor: Regressor, seed: int = 0) -> BaseParameters:
     """
     count = len(regressor.joints)
     samples = _SAMPLES_PER_COLUMN * max(1, len(regressor.columns) // count)
-    random = np.random.default_rng(seed)
-    motion = random.uniform(-np.pi, np.pi, (3, samples, count))
-    return base_of(regressor.matrix(*motion), regressor.columns)
+    return base_of(regressor.random_matrix(samples, seed), regressor.columns)
 
 
 def base_of(matrix: FloatArray, columns: Sequence[Column]) -> BaseParameters:

@@ -9,6 +9,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import SpecError
 from pytest_twin.identification.regressor.columns import Column, SharedMotor, columns
+from pytest_twin.realization.driven_base import BaseStates
 from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics
 from pytest_twin.realization.named_model import NamedModel
 
@@ -36,6 +37,7 @@ class Regressor:
         unscaled: joints whose effort is a current with unknown torque constant. Their rows have the
             nominal rigid-body effort as one column, ``effort_scale`` [A/(N*m)], and drive
             parameters in A; they do not determine inertia.
+        has_moving_base: whether the floating base that carries the joints moves in the recordings.
 
     Raises:
         SpecError: the model lacks a joint.
@@ -49,7 +51,10 @@ class Regressor:
         joints: Sequence[str],
         shared: Sequence[SharedMotor] = (),
         unscaled: Sequence[str] = (),
+        *,
+        has_moving_base: bool = False,
     ) -> None:
+        self.has_moving_base = has_moving_base
         self._dynamics = InverseDynamics(realization, joints)
         self.joints = self._dynamics.joints
         self.slides = self._dynamics.slides
@@ -72,7 +77,11 @@ class Regressor:
         self.prior = self._prior(realization)
 
     def matrix(
-        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        base: BaseStates | None = None,
     ) -> FloatArray:
         """(n, joints, p) regressor, the derivative of the effort by the parameters, at n instants.
 
@@ -81,10 +90,11 @@ class Regressor:
             velocity: (n, joints) rad/s or m/s. At 0 the direction of Coulomb friction is unknown
                 and its column is 0.
             acceleration: (n, joints) rad/s^2 or m/s^2.
+            base: motion of the floating base that carries the joints; at rest by default.
         """
         n, count = position.shape
         found = np.zeros((n, count, len(self.columns)))
-        bodies = self._dynamics.regressor(position, velocity, acceleration)
+        bodies = self._dynamics.regressor(position, velocity, acceleration, base)
         for at, link in enumerate(self._dynamics.links):
             start = self._at[link, INERTIAL[0]]
             found[:, :, start : start + len(INERTIAL)] = bodies[:, :, at]
@@ -113,12 +123,28 @@ class Regressor:
             found[:, two, column] = ratio * direction
         return found
 
+    def random_matrix(self, samples: int, seed: int = 0) -> FloatArray:
+        """(samples, joints, p) regressor at random instants, which excite all that can move.
+
+        Args:
+            seed: seed of the random motion.
+        """
+        random = np.random.default_rng(seed)
+        position, speed, change = random.uniform(-np.pi, np.pi, (3, samples, len(self.joints)))
+        if not self.has_moving_base:
+            return self.matrix(position, speed, change)
+        pose = np.hstack([np.zeros((samples, 3)), random.standard_normal((samples, 4))])
+        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+        velocity, acceleration = random.uniform(-np.pi, np.pi, (2, samples, 6))
+        return self.matrix(position, speed, change, (pose, velocity, acceleration))
+
     def derivatives(
         self,
         position: FloatArray,
         velocity: FloatArray,
         acceleration: FloatArray,
         parameters: FloatArray,
+        base: BaseStates | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Derivatives of the effort ``matrix(motion) @ parameters`` with respect to the motion.
 
@@ -127,15 +153,16 @@ class Regressor:
         Args:
             position, velocity, acceleration: (n, joints) as for :meth:`matrix`.
             parameters: (p,) parameters.
+            base: as for :meth:`matrix`.
 
         Returns:
             (n, joints, joints) by position, by velocity, and by acceleration; the last index is
             the joint that moves.
         """
         motion = position, velocity, acceleration
-        found = self._dynamics.derivatives(*motion, self._links_of(parameters))
+        found = self._dynamics.derivatives(*motion, self._links_of(parameters), base)
         if self._unscaled:
-            nominal = self._dynamics.derivatives(*motion, self._links_of(self.prior))
+            nominal = self._dynamics.derivatives(*motion, self._links_of(self.prior), base)
             for joint in self._unscaled:
                 row = self.joints.index(joint)
                 scale = parameters[self._at[joint, "effort_scale"]]

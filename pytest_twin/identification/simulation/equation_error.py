@@ -65,7 +65,7 @@ def _of_segment(problem: Problem, segment: Segment) -> dict[int, _Rows]:
     if len(segment.time) < 20 or np.any(np.diff(segment.time) <= 0):
         return {}
     q, v, a = _motion(segment)
-    needed = _inverse_dynamics(model, layout.qpos_index, layout.dof_index, q, v, a)
+    needed = _inverse_dynamics(segment, layout.qpos_index, layout.dof_index, q, v, a)
     setpoint = segment.setpoint.at(segment.time)
     found = {}
     for joint in range(q.shape[1]):
@@ -101,7 +101,7 @@ def _motion(segment: Segment) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _inverse_dynamics(
-    model: mujoco.MjModel,
+    segment: Segment,
     qpos: Sequence[int] | np.ndarray,
     dof: Sequence[int] | np.ndarray,
     q: FloatArray,
@@ -109,6 +109,7 @@ def _inverse_dynamics(
     a: FloatArray,
 ) -> FloatArray:
     """(n, joints) effort that the motion takes in the model, without contacts and dry friction."""
+    model = segment.model
     data = mujoco.MjData(model)
     before = model.opt.disableflags
     model.opt.disableflags = before | int(
@@ -117,6 +118,8 @@ def _inverse_dynamics(
     found = np.empty_like(q)
     try:
         for at in range(len(q)):
+            if segment.base is not None:
+                segment.base.place(data, float(segment.time[at]))
             data.qpos[qpos], data.qvel[dof], data.qacc[dof] = q[at], v[at], a[at]
             mujoco.mj_inverse(model, data)
             found[at] = data.qfrc_inverse[dof]
