@@ -33,7 +33,9 @@ def motion_differences(
     for recording in recordings:
         assert new.twin is not None
         try:
-            trials = make_trials(recording, new.structure, new.twin.recordings)
+            trials = make_trials(
+                recording, new.structure, new.twin.recordings, compares_motion=False
+            )
             before, after = (simulate_positions(model, trials) for model in (old, new))
         except TwinError as error:
             notes.append(f"not replayed: {error}")

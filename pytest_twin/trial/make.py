@@ -22,6 +22,7 @@ from pytest_twin.recording_options import (
 from pytest_twin.signals import Signals
 from pytest_twin.trial.base_motion import base_motion
 from pytest_twin.trial.clock import TimedMessages, on_one_clock
+from pytest_twin.trial.column_mistakes import column_mistakes
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
 from pytest_twin.trial.command_span import (
     MOVES,
@@ -64,12 +65,16 @@ def make_trials(
     recording: Recording,
     structure: Structure | None = None,
     options: RecordingOptions = NO_OPTIONS,
+    *,
+    compares_motion: bool = True,
 ) -> list[Trial]:
     """Convert a recording to trials: one, or one for each part between gaps of both topics.
 
     Args:
         structure: structure of the model, for joints, ranges and actuators; None without a model.
         options: options that a user declared.
+        compares_motion: whether the recorded motion is compared with the model's. If only commands
+            and the first state are used, commands may be copies of the states.
 
     Raises:
         RecordingError: no states or commands, no positions, an infinite value, no command field
@@ -78,7 +83,7 @@ def make_trials(
     """
     return [
         within_commands(part)
-        for trial in _whole(recording, structure, options)
+        for trial in _whole(recording, structure, options, compares_motion=compares_motion)
         for part in stretches(trial)
     ]
 
@@ -103,7 +108,11 @@ def make_trial(
 
 
 def _whole(
-    recording: Recording, structure: Structure | None, options: RecordingOptions
+    recording: Recording,
+    structure: Structure | None,
+    options: RecordingOptions,
+    *,
+    compares_motion: bool = True,
 ) -> list[Trial]:
     recording = without_dropouts(recording)
     joints = None if structure is None else structure.joint_type.keys()
@@ -149,7 +158,7 @@ def _whole(
     since = 0.0
     for piece in clocked.pieces:
         maker = _Maker(recording, structure, commanded, options.signals)
-        trial = maker.trial(*piece)
+        trial = maker.trial(*piece, compares_motion=compares_motion)
         own = (*notes, *maker.notes) if not trials else tuple(maker.notes)
         base = None
         floats = structure is not None and is_floating(structure, trial.joints)
@@ -232,7 +241,9 @@ class _Maker:
         self.notes: list[str] = []
         self.other_modes: list[OtherMode] = []
 
-    def trial(self, states: TimedMessages, commands: TimedMessages) -> Trial:
+    def trial(
+        self, states: TimedMessages, commands: TimedMessages, *, compares_motion: bool
+    ) -> Trial:
         """Build one trial, without splitting it."""
         topic = states.series.topic
         rows, joints = self.states(states)
@@ -260,7 +271,7 @@ class _Maker:
             self.checks.refuse_other_unit(joint, command[:, at], commands.series.topic)
         if self.structure is not None:
             self.notes += unwrap_joints(motion, self.structure, self.signals)
-        copies, copied = check_copies(motion)
+        copies, copied = check_copies(motion) if compares_motion else (frozenset(), [])
         self.notes += copied
         for joint in copies:
             self.checks.mark("copied", topic, joint, time[0], time[-1], "copies of its commands")
@@ -306,6 +317,7 @@ class _Maker:
         )
         self.check_unstated_efforts(trial, commands.series.topic)
         self.note_moving_without_command(trial, commands.series.topic)
+        self.notes += column_mistakes(trial)
         return trial
 
     def note_moving_without_command(self, trial: Trial, topic: str) -> None:

@@ -30,12 +30,16 @@ JOINTS = ("shoulder", "elbow")
 
 @pytest.fixture
 def data(released) -> Path:
-    """A recording of a slow sine motion, stamped with release 1."""
+    return stamped_wave(released, 1e-3)
+
+
+def stamped_wave(released, error: float) -> Path:
+    """A recording of a slow sine motion, stamped with release 1; states differ by an error, rad."""
     time = np.arange(0.0, 2.0, 0.01)
     stamps = np.rint(1e9 * time).astype(np.int64) + 10**18
     wave = np.column_stack([0.4 * np.sin(3 * time), 0.8 * np.cos(2 * time)])
     series = [
-        JointSeries("/joint_states", JOINTS, stamps, stamps, wave + 1e-3, None, None),
+        JointSeries("/joint_states", JOINTS, stamps, stamps, wave + error, None, None),
         JointSeries("/joint_commands", JOINTS, stamps, stamps, wave, None, None),
     ]
     path = released.root.parent / "wave.mcap"
@@ -91,6 +95,18 @@ def test_a_change_below_the_threshold_is_listed_and_the_data_stay_fresh(
     assert [one["matters"] for one in document["changes"]] == [False]
     released.edit("twin.yaml", calibration, f"{calibration}fresh: {{translation: 0.0002}}\n")
     assert fresh(data, 1)["moved"]["translation"] == pytest.approx(0.00025, rel=1e-5)
+
+
+def test_data_whose_actions_were_made_from_states_are_judged_by_the_actions(released) -> None:
+    """Nothing that was measured is compared: both versions follow the same actions."""
+    copies = stamped_wave(released, 0.0)
+    released.edit("arm.xml", 'mass="0.6"', 'mass="0.600001"')
+    document = fresh(copies, 0)
+    (change,) = document["changes"]
+    assert "under this data's commands the simulated joint" in change["why"]
+    released.edit("arm.xml", 'mass="0.600001"', 'mass="6.0"')
+    (change,) = fresh(copies, 1)["changes"]
+    assert change["size"]["position"] > 0.01
 
 
 def test_changed_tool_length_and_link_mass_are_each_reported_with_their_effect(
