@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.evidence import Evidence
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 
 _INTERFACES = {
     "position": "position setpoint",
@@ -20,17 +20,11 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
     interfaces = {item.joint: item for item in asset.controlled if item.commands}
     for name in evidence.commands:
         if name not in asset.joint and name not in {a.name for a in asset.actuators}:
-            yield Finding(
+            yield finding_of(
                 "commands.evidence_unused",
-                "warning",
                 None if evidence.path is None else asset.place,
                 f"command '{name}'",
-                "the evidence names a joint or actuator that the asset does not have",
                 name,
-                None,
-                "the name of a joint or actuator",
-                "evidence under a wrong name is not used",
-                "correct the name in the evidence file",
             )
     actuated: set[str] = set()
     for actuator in asset.actuators:
@@ -63,43 +57,19 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
         if declared is None and joint.name in interfaces:
             item = interfaces[joint.name]
             known = [_INTERFACES.get(name, name) for name in item.commands]
-            yield Finding(
+            yield finding_of(
                 "commands.interface",
-                "info",
                 item.place,
                 element,
-                f"ros2_control accepts: {', '.join(known)}",
                 " ".join(item.commands),
-                None,
-                None,
-                "gains, filters and limits of the driver act between the command and the motor",
-                "read the driver's documentation",
+                title=f"ros2_control accepts: {', '.join(known)}",
             )
         elif declared is None:
-            yield Finding(
-                "commands.unknown",
-                "unknown",
-                joint.place,
-                element,
-                "the meaning of its command is not declared: position, velocity or effort, unit, "
-                "sign and zero",
-                None,
-                None,
-                None,
-                "a position sent where a torque is expected makes the joint run away",
-                "look it up in the manual of the SDK, or command a small step at rest: the joint "
-                "settles at it (position), moves on (velocity) or accelerates (effort)",
-            )
+            yield finding_of("commands.unknown", joint.place, element)
         else:
-            yield Finding(
+            yield finding_of(
                 "commands.declared",
-                "info",
                 joint.place,
                 element,
-                f"its command is declared: {declared}",
-                None,
-                None,
-                None,
-                "replay and goldens use this declaration",
-                "confirm it by a replay of one recorded step",
+                title=f"its command is declared: {declared}",
             )

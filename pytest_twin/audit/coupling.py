@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from pytest_twin.audit.asset import Asset, Mimic
-from pytest_twin.audit.finding import Finding
-
-_WHY_MIMIC = "tools resolve the mimic differently, or refuse the file"
+from pytest_twin.audit.finding import Finding, finding_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,17 +64,11 @@ def check(asset: Asset) -> Iterator[Finding]:
     found = degrees_of_freedom(asset)
     for name in found.passive:
         joint = asset.joint[name]
-        yield Finding(
+        yield finding_of(
             "coupling.passive",
-            "unknown" if asset.kind == "urdf" else "info",
             joint.place,
             f"joint '{name}'",
-            "nothing drives it, and it follows no other joint",
-            None,
-            None,
-            None,
-            "a passive joint swings under gravity, a driven one holds its position",
-            "look up in the manual whether it has a motor, or move it by hand with the power off",
+            severity="unknown" if asset.kind == "urdf" else "info",
         )
     yield from _closures(asset)
 
@@ -96,32 +88,17 @@ def _chains(asset: Asset) -> Iterator[Finding]:
         done.update(way)
         if at in way:
             circle = list(way)[list(way).index(at) :]
-            yield Finding(
-                "coupling.mimic_loop",
-                "critical",
-                leader_of[at].place,
-                f"joint '{at}'",
-                "joints follow each other in a loop",
-                _arrows([*circle, at]),
-                None,
-                "one joint of the loop without <mimic>",
-                _WHY_MIMIC,
-                "remove the <mimic> of the joint that has the motor",
+            yield finding_of(
+                "coupling.mimic_loop", leader_of[at].place, f"joint '{at}'", _arrows([*circle, at])
             )
     for mimic in leader_of.values():
         if mimic.leader in leader_of and mimic.leader != mimic.follower:
             further = leader_of[mimic.leader].leader
-            yield Finding(
+            yield finding_of(
                 "coupling.mimic_chain",
-                "warning",
                 mimic.place,
                 f"joint '{mimic.follower}'",
-                "it follows a joint that itself follows another",
                 _arrows([mimic.follower, mimic.leader, further]),
-                None,
-                "a <mimic> of the first joint of the chain",
-                "some parsers resolve one step only",
-                "let it follow the first joint, with the product of the multipliers",
             )
 
 
@@ -134,20 +111,16 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
     element = f"joint '{mimic.follower}'"
     if mimic.leader not in asset.joint:
         fixed = any(kind == "joint" and name == mimic.leader for kind, name, _ in asset.named)
-        yield Finding(
+        yield finding_of(
             "coupling.mimic_master",
-            # MuJoCo and Pinocchio keep such a follower at its offset.
-            "warning" if fixed else "critical",
             mimic.place,
             element,
-            f"it follows a fixed joint: it does not move from its offset, {mimic.offset:g}"
+            mimic.leader,
+            severity="warning" if fixed else "critical",
+            title=f"it follows a fixed joint: it does not move from its offset, {mimic.offset:g}"
             if fixed
             else "it follows a joint that does not exist",
-            mimic.leader,
-            None,
-            "the name of a moving joint",
-            _WHY_MIMIC,
-            "make the joint fixed, or name the joint that it follows"
+            settle="make the joint fixed, or name the joint that it follows"
             if fixed
             else "correct the name, or remove the <mimic>",
         )
@@ -156,36 +129,21 @@ def _mimic(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
     if follower is None or not follower.is_scalar or not leader.is_scalar:
         return
     if mimic.multiplier == 0.0:
-        yield Finding(
-            "coupling.mimic_zero",
-            "warning",
-            mimic.place,
-            element,
-            "its multiplier is 0, so it does not move",
-            0.0,
-            "1",
-            "the gear ratio, or type 'fixed'",
-            "the simulated mechanism does not move like the real one",
-            "state the gear ratio from the mechanism's drawing",
-        )
+        yield finding_of("coupling.mimic_zero", mimic.place, element, 0.0)
     yield from _ranges(asset, mimic)
-    yield Finding(
+    yield finding_of(
         "coupling.mimic_force",
-        "unknown",
         mimic.place,
         element,
-        f"it follows '{mimic.leader}' "
+        f"{mimic.multiplier:g} x + {mimic.offset:g}",
+        title=f"it follows '{mimic.leader}' "
         + (
             "kinematically"
             if asset.kind == "urdf"
             else "by a constraint with the solver's stiffness"
         )
         + ": force, stiffness and backlash of the coupling are not stated",
-        f"{mimic.multiplier:g} x + {mimic.offset:g}",
-        follower.unit,
-        None,
-        "a simulator chooses the stiffness itself, or transmits no force",
-        "hold the leader, load the follower with a known force, and measure its deflection",
+        unit=follower.unit,
     )
 
 
@@ -198,17 +156,14 @@ def _ranges(asset: Asset, mimic: Mimic) -> Iterator[Finding]:
     reached = sorted(mimic.multiplier * end + mimic.offset for end in (low, high))
     beyond = max(lower - reached[0], reached[1] - upper)
     if beyond > 1e-3 * max(upper - lower, 1e-6):
-        yield Finding(
+        yield finding_of(
             "coupling.mimic_range",
-            "warning",
             mimic.place,
             f"joint '{mimic.follower}'",
-            f"following '{leader.name}', it leaves its own range",
             f"{reached[0]:.5g} .. {reached[1]:.5g}",
-            follower.unit,
-            f"within {lower:.5g} .. {upper:.5g}",
-            "in a simulator, limit and coupling work against each other",
-            "state both ranges as in the mechanism's drawing",
+            title=f"following '{leader.name}', it leaves its own range",
+            unit=follower.unit,
+            expected=f"within {lower:.5g} .. {upper:.5g}",
         )
 
 
@@ -219,57 +174,30 @@ def _closures(asset: Asset) -> Iterator[Finding]:
             shared.setdefault(joint, []).append(item.name)
         kind = item.kind.casefold()
         if len(item.joints) > 1 or "differential" in kind or "fourbar" in kind:
-            yield Finding(
+            yield finding_of(
                 "coupling.differential",
-                "unknown",
                 item.place,
                 f"transmission '{item.name}'",
-                f"one transmission ({item.kind or 'no type'}) of {len(item.joints)} joints and "
-                f"{len(item.actuators)} actuators: URDF cannot state how they share the force",
                 " ".join(item.joints),
-                None,
-                None,
-                "the limits of the motors are not those of the joints, and friction is shared",
-                "derive the transmission matrix from the drawing, and check it one motor at a time",
+                title=f"one transmission ({item.kind or 'no type'}) of {len(item.joints)} joints "
+                f"and {len(item.actuators)} actuators: URDF cannot state how they share the force",
             )
     for joint, names in shared.items():
         if len(names) > 1:
-            yield Finding(
+            yield finding_of(
                 "coupling.shared_joint",
-                "unknown",
                 next(item.place for item in asset.transmissions if joint in item.joints),
                 f"joint '{joint}'",
-                f"it is driven by {len(names)} transmissions",
                 " ".join(names),
-                None,
-                None,
-                "URDF cannot state how several motors share the load of one joint",
-                "derive the transmission matrix from the drawing",
+                title=f"it is driven by {len(names)} transmissions",
             )
     for tie in asset.couplings:
-        yield Finding(
+        yield finding_of(
             "coupling.constraint",
-            "info",
             tie.place,
             f"{tie.kind} '{tie.name}'",
-            f"a {tie.kind} connects {len(tie.ties)} elements",
             " ".join(tie.ties[:12]),
-            None,
-            None,
-            "a URDF cannot carry it: a conversion loses or replaces it",
-            "state the same constraint in every realization",
+            title=f"a {tie.kind} connects {len(tie.ties)} elements",
         )
     if asset.kind == "urdf":
-        yield Finding(
-            "coupling.closed_chains",
-            "unknown",
-            asset.place,
-            f"robot '{asset.name}'",
-            "URDF cannot state closed chains, differentials or tendons: it is unknown whether the "
-            "robot has any",
-            None,
-            None,
-            None,
-            "an open loop transmits no force",
-            "look for parallel rods, belts and cables in the mechanism's drawing",
-        )
+        yield finding_of("coupling.closed_chains", asset.place, f"robot '{asset.name}'")

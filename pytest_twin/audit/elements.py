@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pytest_twin.asset.stated_elements import StatedElement, is_neutral, stated_elements
 from pytest_twin.audit.asset import Asset
-from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.audit.finding import Finding, Place, finding_of
 
 _SHOWN = 4
 """Largest number of values that a finding lists."""
@@ -52,15 +52,12 @@ def _custom(asset: Asset) -> Iterator[Finding]:
     for label, places in sorted(asset.custom.items()):
         what = "attribute" if "@" in label else "element"
         count = "once" if len(places) == 1 else f"{len(places)} times"
-        yield Finding(
+        yield finding_of(
             "controllers.custom_tag",
-            "info",
             places[0],
             label,
-            f"an {what} that neither URDF, SRDF, ros2_control nor Gazebo defines, stated {count}",
             float(len(places)),
-            f"{what}s",
-            None,
-            "every conversion that does not know it loses it",
-            "read the documentation of the tool that it is for",
+            title=f"an {what} that neither URDF, SRDF, ros2_control nor Gazebo defines, "
+            f"stated {count}",
+            unit=f"{what}s",
         )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.audit.asset import Asset, Joint, Vector
-from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.audit.finding import Finding, Place, finding_of
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.schema import load_schema, validate
@@ -213,21 +213,20 @@ def _numbers(joint: Joint, known: JointEvidence) -> Iterator[Finding]:
         off = max(abs(joint.lower - known.limits[0]), abs(joint.upper - known.limits[1]))
         beyond = joint.lower < known.limits[0] - 1e-3 or joint.upper > known.limits[1] + 1e-3
         if off > 1e-3:
-            yield Finding(
+            yield finding_of(
                 "joints.range_contradicted",
-                "critical" if beyond else "warning",
                 joint.place,
                 element,
-                "its range is wider than the declared one"
+                f"{joint.lower:.5g} .. {joint.upper:.5g}",
+                severity="critical" if beyond else "warning",
+                title="its range is wider than the declared one"
                 if beyond
                 else "its range is narrower than the declared one",
-                f"{joint.lower:.5g} .. {joint.upper:.5g}",
-                joint.unit,
-                f"{known.limits[0]:.5g} .. {known.limits[1]:.5g}, {said}",
-                "a motion that passes in simulation hits a stop of the real robot"
+                unit=joint.unit,
+                expected=f"{known.limits[0]:.5g} .. {known.limits[1]:.5g}, {said}",
+                why="a motion that passes in simulation hits a stop of the real robot"
                 if beyond
                 else "motions that the robot can make are refused",
-                "move the joint slowly to both stops, and correct the range",
             )
     for name, value, declared, unit in (
         ("velocity", joint.velocity, known.velocity, f"{joint.unit}/s"),
@@ -265,30 +264,23 @@ def _direction(
     norm = float(np.linalg.norm(speed) * np.linalg.norm(along))
     cosine = float(speed @ along) / norm if norm > 1e-9 else 0.0
     if abs(cosine) < _PLAIN:
-        yield Finding(
+        yield finding_of(
             "joints.sign_unclear",
-            "unknown",
             known.place,
             element,
-            f"the declared direction does not determine the sign: '{frame}' moves almost across it",
             cosine,
-            "1",
-            f"a cosine of at least {_PLAIN:g} between motion and declared direction",
-            "the sign of the joint stays unknown",
-            "declare the direction of another frame, or at another pose",
+            title="the declared direction does not determine the sign: "
+            f"'{frame}' moves almost across it",
+            expected=f"a cosine of at least {_PLAIN:g} between motion and declared direction",
         )
     elif cosine < 0:
-        yield Finding(
+        yield finding_of(
             "joints.sign_contradicted",
-            "critical",
             joint.place,
             element,
-            f"a positive step moves '{frame}' against the declared direction",
             cosine,
-            "1",
-            f"a positive cosine, as declared by {known.source}",
-            "a flipped axis looks right at 0 and makes a feedback loop unstable",
-            "jog the joint by +0.05 rad or +10 mm, and flip its axis if the evidence is right",
+            title=f"a positive step moves '{frame}' against the declared direction",
+            expected=f"a positive cosine, as declared by {known.source}",
         )
 
 
@@ -303,19 +295,15 @@ def _frame(asset: Asset, measured: FrameEvidence, evidence: Evidence) -> Iterato
     if off > measured.tolerance:
         pose = "as drawn" if measured.pose is None else f"at pose '{measured.pose}'"
         place = asset.body[measured.frame].place if measured.frame in asset.body else measured.place
-        yield Finding(
+        yield finding_of(
             "frames.position_contradicted",
-            "critical",
             place,
             element,
-            f"{pose}, it is not at its measured position",
             off,
-            "m",
-            f"within {measured.tolerance:g} m of "
+            title=f"{pose}, it is not at its measured position",
+            expected=f"within {measured.tolerance:g} m of "
             + " ".join(f"{v:.5g}" for v in measured.position)
             + f", {measured.source}",
-            "an origin, an axis or the zero of a joint before it is wrong",
-            "measure the frame at poses that move one joint at a time",
         )
 
 
@@ -324,15 +312,10 @@ def _mass(
 ) -> Iterator[Finding]:
     total = sum(body.mass or 0.0 for body in asset.bodies)
     if abs(total - value) > tolerance:
-        yield Finding(
+        yield finding_of(
             "inertia.mass_contradicted",
-            "critical",
             asset.place,
             f"robot '{asset.name}'",
-            "the total mass of its links differs from the declared mass",
             total,
-            "kg",
-            f"{value:g} kg within {tolerance:g} kg, {source}",
-            "gravity torques and accelerations are wrong by the same ratio",
-            "weigh the robot, and correct the masses of its links",
+            expected=f"{value:g} kg within {tolerance:g} kg, {source}",
         )

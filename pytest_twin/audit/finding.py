@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -90,6 +93,21 @@ class Finding:
             "why": self.why,
             "settle": self.settle,
         }
+
+
+@cache
+def catalogue() -> Mapping[str, Mapping[str, Mapping[str, str]]]:
+    """Layer -> name of a finding -> its fields that are the same for every robot."""
+    return tomllib.loads(resources.files(__package__).joinpath("findings.toml").read_text("utf-8"))
+
+
+def finding_of(
+    code: str, place: Place | None, element: str, value: float | str | None = None, **stated: Any
+) -> Finding:
+    """Build a finding of the catalogue; ``stated`` has the fields that depend on the robot."""
+    layer, _, name = code.partition(".")
+    fields: dict[str, Any] = {**catalogue()[layer][name], **stated}
+    return Finding(code, place=place, element=element, value=value, **fields)
 
 
 def _finite_or_text(value: float | str | None) -> float | str | None:

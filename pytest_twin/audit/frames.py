@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.evidence import Evidence
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 
 _PORTABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _TOOL = re.compile(
@@ -40,18 +40,7 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
 def _names(asset: Asset) -> Iterator[Finding]:
     for kind, name, place in asset.named:
         if kind in ("link", "joint", "body", "site") and not _PORTABLE.fullmatch(name):
-            yield Finding(
-                "frames.name",
-                "info",
-                place,
-                f"{kind} '{name}'",
-                "its name is not an identifier",
-                name,
-                None,
-                "letters, digits and _, not starting with a digit",
-                "USD and code generators rename it, and names differ between realizations",
-                "choose a portable name in the normalized asset",
-            )
+            yield finding_of("frames.name", place, f"{kind} '{name}'", name)
 
 
 def _base(asset: Asset) -> Iterator[Finding]:
@@ -59,66 +48,35 @@ def _base(asset: Asset) -> Iterator[Finding]:
         return
     root = asset.body[asset.roots[0]]
     if root.mass:
-        yield Finding(
-            "frames.base_inertia",
-            "info",
-            root.inertial or root.place,
-            f"link '{root.name}'",
-            "the base link has mass: tools that read URDF by KDL ignore it",
-            root.mass,
-            "kg",
-            "a massless base link, with this link fixed to it",
-            "a floating base weighs less in those tools",
-            "compare the total mass of every realization",
+        yield finding_of(
+            "frames.base_inertia", root.inertial or root.place, f"link '{root.name}'", root.mass
         )
     if not _WORLD.search(root.name):
-        yield Finding(
-            "frames.mount_unknown",
-            "unknown",
-            root.place,
-            f"link '{root.name}'",
-            "how the base is mounted (fixed or not, where, which way is up) is not stated",
-            None,
-            None,
-            None,
-            "a tilted base changes the gravity torque of every joint",
-            "put a level on the base, or fit the tilt to gravity torques at three poses",
-        )
+        yield finding_of("frames.mount_unknown", root.place, f"link '{root.name}'")
 
 
 def _tool(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
     names = [*asset.body, *asset.sites]
     if evidence.tcp is not None:
         if evidence.tcp not in names:
-            yield Finding(
+            yield finding_of(
                 "frames.missing_tool",
-                "critical",
                 None if evidence.path is None else asset.place,
                 f"frame '{evidence.tcp}'",
-                "the declared tool centre point is not a frame of the asset",
                 evidence.tcp,
-                None,
-                "the name of a link or site",
-                "every Cartesian comparison needs it",
-                "correct `tcp:` in the evidence, or add the frame at its measured pose",
             )
         return
     candidates = [name for name in names if _TOOL.search(name)]
     if len(candidates) == 1:
         return
-    yield Finding(
+    yield finding_of(
         "frames.tool_unknown",
-        "unknown",
         asset.place,
         f"robot '{asset.name}'",
-        "the tool centre point is not named"
+        " ".join(candidates[:8]) or None,
+        title="the tool centre point is not named"
         if not candidates
         else f"{len(candidates)} frames could be the tool centre point",
-        " ".join(candidates[:8]) or None,
-        None,
-        "`tcp: FRAME` in the evidence file or in twin.yaml",
-        "poses of different points differ by the length of the tool",
-        "read the tool frame from the controller's setup, and declare it",
     )
 
 
@@ -134,15 +92,10 @@ def _far_frames(asset: Asset) -> Iterator[Finding]:
         if edge is None or away < max(20 * usual, 1.0):
             continue
         if float(np.linalg.norm(edge.position)) > 0.5 * away:
-            yield Finding(
+            yield finding_of(
                 "frames.far",
-                "warning",
                 edge.place,
                 f"link '{name}'",
-                "it lies far from the rest of the robot",
                 float(away),
-                "m",
-                f"a distance of a few times {usual:.3g} m",
-                "every frame after it is displaced, if its unit or origin is wrong",
-                "compare its position with the drawing, and correct the unit",
+                expected=f"a distance of a few times {usual:.3g} m",
             )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_twin.audit.asset import Asset, Body, Vector
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 from pytest_twin.audit.geometry import Geometry, Solid
 from pytest_twin.realization.inertia import MASS_FLOOR, ROUNDING, point_inertia, violation
 
@@ -16,7 +16,6 @@ _DENSITY = (20.0, 12_000.0)
 """kg/m^3: plausible range of mass over hull volume, from a hollow cover to solid lead."""
 _FACTOR = 30.0
 """Ratio of stated to geometric moments beyond which one of the two is reported as wrong."""
-_CAD = "copy mass properties about the centre of mass from CAD, and check their units"
 
 
 def principal(inertia: Vector) -> Vector:
@@ -41,18 +40,7 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
             if solid is not None and solid.size > 0:
                 yield from _compare_with_hull(body, body.mass, body.inertia, solid)
         elif body.mass is None and body.inertial is not None and body.inertia is not None:
-            yield Finding(
-                "inertia.no_mass",
-                "warning",
-                body.inertial,
-                _element(body),
-                "it has an inertia and no mass",
-                None,
-                "kg",
-                "a mass above 0",
-                "parsers make it massless, or refuse it",
-                _CAD,
-            )
+            yield finding_of("inertia.no_mass", body.inertial, _element(body))
     yield from _massless_moving_bodies(asset, geometry)
     yield from _massless_robot(asset)
 
@@ -116,34 +104,17 @@ def _is_finite(body: Body) -> bool:
 
 
 def _not_finite(body: Body) -> Finding:
-    return Finding(
+    return finding_of(
         "inertia.not_finite",
-        "critical",
         body.inertial or body.place,
         _element(body),
-        "its mass or inertia is not finite",
         None if body.mass is None else f"{body.mass:g}",
-        "kg",
-        "a finite mass and inertia",
-        "no motion can be computed",
-        _CAD,
     )
 
 
 def _possible(body: Body) -> Iterator[Finding]:
     if body.mass is not None and body.mass < 0:
-        yield Finding(
-            "inertia.negative_mass",
-            "critical",
-            body.inertial,
-            _element(body),
-            "its mass is negative",
-            body.mass,
-            "kg",
-            "more than 0",
-            "it falls upwards, and the equations of motion may have no solution",
-            "weigh the part",
-        )
+        yield finding_of("inertia.negative_mass", body.inertial, _element(body), body.mass)
     if body.inertia is None or np.abs(body.inertia).max() < MASS_FLOOR:
         return
     moments = principal(body.inertia)
@@ -151,67 +122,42 @@ def _possible(body: Body) -> Iterator[Finding]:
     scale = float(np.abs(moments).max())
     # Cancellation limits the accuracy of the eigenvalues to the digits of the sum.
     if moments[0] < -1e-12 * scale and moments[0] < -ROUNDING * scale:
-        yield Finding(
+        yield finding_of(
             "inertia.negative_moment",
-            "critical",
             body.inertial,
             _element(body),
-            "a principal moment of its inertia is negative",
             float(moments[0]),
-            "kg*m^2",
-            f"three positive moments (they are {text})",
-            "no body has it: rotation about that axis would have negative energy",
-            _CAD,
+            expected=f"three positive moments (they are {text})",
         )
         return
     share = violation(body.inertia)
     if moments[0] <= 1e-9 * scale and (body.mass or 0.0) > 0:
         six = body.inertia[np.triu_indices(3)]
         equal = bool(np.ptp(six) < 1e-9 * np.abs(six).max())
-        yield Finding(
+        yield finding_of(
             "inertia.zero_moment",
-            "critical",
             body.inertial,
             _element(body),
-            "a principal moment of its inertia is zero: it is not positive definite"
+            text,
+            title="a principal moment of its inertia is zero: it is not positive definite"
             + (", and breaks the triangle inequality" if share > ROUNDING else "")
             + (" (products of inertia equal to the moments)" if equal else ""),
-            text,
-            "kg*m^2",
-            "three positive moments",
-            "only a line without thickness has it; about that axis it has no inertia",
-            _CAD,
+            why="only a line without thickness has it; about that axis it has no inertia",
         )
     elif share > ROUNDING:
         # tr(I)/2 - I_max is the smallest eigenvalue of the pseudo-inertia's 3 x 3 block.
         lowest = float(moments.sum() / 2 - moments[2])
-        yield Finding(
+        yield finding_of(
             "inertia.triangle",
-            "critical",
             body.inertial,
             _element(body),
-            "its principal moments break the triangle inequality "
+            text,
+            title="its principal moments break the triangle inequality "
             f"({moments[2]:.4g} > {moments[0]:.4g} + {moments[1]:.4g}): "
             f"the pseudo-inertia has the eigenvalue {lowest:.3g} kg*m^2",
-            text,
-            "kg*m^2",
-            "no moment above the sum of the other two",
-            "no mass distribution has it; simulators refuse it or change it silently",
-            _CAD,
         )
     elif share > 1e-9:
-        yield Finding(
-            "inertia.triangle_rounded",
-            "info",
-            body.inertial,
-            _element(body),
-            "its principal moments break the triangle inequality within their rounded digits",
-            text,
-            "kg*m^2",
-            "no moment above the sum of the other two",
-            "a strict simulator refuses it",
-            "state the same values with more digits",
-        )
+        yield finding_of("inertia.triangle_rounded", body.inertial, _element(body), text)
 
 
 def _default(body: Body) -> Iterator[Finding]:
@@ -222,17 +168,13 @@ def _default(body: Body) -> Iterator[Finding]:
     alike = float(np.ptp(diagonal)) < 1e-9 * float(diagonal.max()) and off < 1e-12
     round_value = alike and diagonal[0] > 0 and _has_one_digit(float(diagonal[0]))
     if round_value and (_has_one_digit(mass) or not body.com.any()):
-        yield Finding(
+        yield finding_of(
             "inertia.default",
-            "warning",
             body.inertial,
             _element(body),
-            f"three equal round moments with {mass:g} kg: a default value, not a measured one",
             float(diagonal[0]),
-            "kg*m^2",
-            "the moments of the real body",
-            "it accelerates like a ball of another size",
-            _CAD,
+            title=f"three equal round moments with {mass:g} kg: a default value, "
+            "not a measured one",
         )
 
 
@@ -253,17 +195,12 @@ def _copied_inertia(
     volumes = [0.0 if solid is None else solid.volume for solid in solids]
     if np.isclose(volumes[0], volumes[1], rtol=0.02):
         return
-    yield Finding(
+    yield finding_of(
         "inertia.copied",
-        "warning",
         body.inertial,
         _element(body),
-        f"it has mass, centre of mass and inertia of link '{first.name}', and another shape",
         float(body.mass or 0.0),
-        "kg",
-        "values of this link",
-        "two different bodies do not have the same mass to the last digit",
-        _CAD,
+        title=f"it has mass, centre of mass and inertia of link '{first.name}', and another shape",
     )
 
 
@@ -272,33 +209,25 @@ def _compare_with_hull(body: Body, mass: float, inertia: Vector, solid: Solid) -
     element = _element(body)
     outside = solid.outside(body.com)
     if outside > 0.1 * solid.size:
-        yield Finding(
+        yield finding_of(
             "inertia.com_outside",
-            "critical" if outside > 10 * solid.size else "warning",
             body.inertial,
             element,
-            "its centre of mass lies outside its shape",
             outside,
-            "m",
-            f"a point inside its shape, {solid.size:.3g} m in size",
-            "gravity acts with a lever arm that the body does not have",
-            "balance the part on an edge in two directions, or copy the value from CAD",
+            severity="critical" if outside > 10 * solid.size else "warning",
+            expected=f"a point inside its shape, {solid.size:.3g} m in size",
         )
     density = mass / solid.volume
     plausible = _DENSITY[0] <= density <= _DENSITY[1]
     if not plausible:
-        yield Finding(
+        yield finding_of(
             "inertia.density",
-            "warning",
             body.inertial,
             element,
-            "its mass / hull volume is "
-            + ("below that of foam" if density < _DENSITY[0] else "above that of lead"),
             density,
-            "kg/m^3",
-            f"{_DENSITY[0]:g} .. {_DENSITY[1]:g} kg/m^3",
-            "mass or size is that of another body, or in another unit",
-            "weigh the part, and measure one length",
+            title="its mass / hull volume is "
+            + ("below that of foam" if density < _DENSITY[0] else "above that of lead"),
+            expected=f"{_DENSITY[0]:g} .. {_DENSITY[1]:g} kg/m^3",
         )
     stated = float(np.trace(inertia)) / 2
     uniform = mass * float(np.trace(solid.inertia)) / 2
@@ -310,47 +239,35 @@ def _compare_with_hull(body: Body, mass: float, inertia: Vector, solid: Solid) -
     shifted = point_inertia(mass, body.com)
     about_origin = inertia - shifted
     if _is_about_origin(inertia, about_origin, mass * solid.inertia, shifted):
-        yield Finding(
+        yield finding_of(
             "inertia.wrong_origin",
-            "warning",
             body.inertial,
             element,
-            "its inertia seems to be about the link's origin, not about its centre of mass",
             stated,
-            "kg*m^2",
-            f"half the trace near {uniform:.3g} kg*m^2, by its shape; reduced by "
+            expected=f"half the trace near {uniform:.3g} kg*m^2, by its shape; reduced by "
             f"{float(np.trace(shifted)) / 2:.3g} kg*m^2 it fits",
-            "the offset of the centre of mass counts twice",
-            _CAD,
         )
     elif stated > most * 1.05:
         ratio = stated / uniform
-        yield Finding(
+        yield finding_of(
             "inertia.too_large",
-            "critical" if ratio > 2e5 and plausible else "warning",
             body.inertial,
             element,
-            "its inertia is larger than any distribution of its mass within its shape allows"
-            + _unit_guess(ratio),
             stated,
-            "kg*m^2",
-            f"half the trace near {uniform:.3g} and at most {most:.3g} kg*m^2",
-            "the joint accelerates too slowly under every torque",
-            _CAD,
+            severity="critical" if ratio > 2e5 and plausible else "warning",
+            title="its inertia is larger than any distribution of its mass within its shape allows"
+            + _unit_guess(ratio),
+            expected=f"half the trace near {uniform:.3g} and at most {most:.3g} kg*m^2",
         )
     elif stated < uniform / _FACTOR:
         ratio = stated / uniform
-        yield Finding(
+        yield finding_of(
             "inertia.too_small",
-            "warning",
             body.inertial,
             element,
-            "its inertia is far smaller than that of its shape" + _unit_guess(ratio),
             stated,
-            "kg*m^2",
-            f"half the trace near {uniform:.3g} kg*m^2",
-            "the joint accelerates too fast under every torque, and simulation needs small steps",
-            _CAD,
+            title="its inertia is far smaller than that of its shape" + _unit_guess(ratio),
+            expected=f"half the trace near {uniform:.3g} kg*m^2",
         )
 
 
@@ -396,33 +313,25 @@ def _massless_moving_bodies(asset: Asset, geometry: Geometry) -> Iterator[Findin
         carried = asset.subtrees[top][0]
         if mass <= MASS_FLOOR:
             virtual = not shaped and carried > MASS_FLOOR
-            yield Finding(
+            yield finding_of(
                 "inertia.moving_without",
-                "warning" if virtual else "critical",
                 place,
                 _element(body),
-                f"joint '{joint.name}' moves it, and it has no mass"
-                + ("; it may be one axis of a joint with several" if virtual else ""),
                 mass,
-                "kg",
-                "mass and inertia, its own or of a link fixed to it",
-                "its acceleration is undefined: simulators refuse it, invent a mass, or diverge",
-                _CAD,
+                severity="warning" if virtual else "critical",
+                title=f"joint '{joint.name}' moves it, and it has no mass"
+                + ("; it may be one axis of a joint with several" if virtual else ""),
             )
         elif not any(_is_flat(b) for b in bodies):
             moments = principal(inertia)
-            yield Finding(
+            yield finding_of(
                 "inertia.zero_moment",
-                "critical",
                 place,
                 _element(body),
-                f"joint '{joint.name}' moves it, and a principal moment of its inertia is zero: "
-                "it is not positive definite",
                 ", ".join(f"{value:.6g}" for value in moments),
-                "kg*m^2",
-                "three positive moments",
-                "about that axis its acceleration is undefined",
-                _CAD,
+                title=f"joint '{joint.name}' moves it, and a principal moment of its inertia is "
+                "zero: it is not positive definite",
+                why="about that axis its acceleration is undefined",
             )
 
 
@@ -432,18 +341,7 @@ def _massless_robot(asset: Asset) -> Iterator[Finding]:
     unreadable = "inertia" in asset.unseen or any(f.layer == "inertia" for f in asset.faults)
     if unreadable or asset.moving or not bodies or any(body.mass for body in bodies):
         return
-    yield Finding(
-        "inertia.no_mass_at_all",
-        "critical",
-        asset.place,
-        f"robot '{asset.name}'",
-        "none of its bodies has a mass, and no joint moves one: nothing of it can be simulated",
-        0.0,
-        "kg",
-        "the mass and inertia of each body, and the joints between them",
-        "every simulator takes it for scenery, and a golden of it proves nothing of the robot",
-        "ask the supplier for the complete model; this one may hold visual shapes only",
-    )
+    yield finding_of("inertia.no_mass_at_all", asset.place, f"robot '{asset.name}'", 0.0)
 
 
 def _is_flat(body: Body) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_twin.asset.collada import DEFAULT_UP_AXIS, stated_up_axis
 from pytest_twin.audit.asset import Asset, Body, Shape
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 from pytest_twin.audit.geometry import Geometry, Solid
 from pytest_twin.realization import gltf
 from pytest_twin.realization.mesh import Triangles
@@ -122,17 +122,16 @@ def _up_axis(path: Path, shapes: list[Shape]) -> Iterator[Finding]:
     if stated == "Z_UP":
         return
     collides = any(shape.role == "collision" for shape in shapes)
-    yield Finding(
+    yield finding_of(
         "meshes.up_axis",
-        "warning" if collides else "info",
         shapes[0].place,
         f"mesh '{path.name}'",
-        f"it states {stated}" if stated else f"it states no up_axis: {DEFAULT_UP_AXIS} by default",
         stated,
-        None,
-        "<up_axis>Z_UP</up_axis>" if collada else "a format with Z up, such as OBJ or STL",
-        "RViz and this tool take the vertices as they are, other loaders turn them by 90 degrees",
-        "export the mesh with Z up, and compare one pose of it in two viewers",
+        severity="warning" if collides else "info",
+        title=f"it states {stated}"
+        if stated
+        else f"it states no up_axis: {DEFAULT_UP_AXIS} by default",
+        expected="<up_axis>Z_UP</up_axis>" if collada else "a format with Z up, such as OBJ or STL",
     )
 
 
@@ -143,44 +142,30 @@ def _element(shape: Shape) -> str:
 def _size(shape: Shape) -> Iterator[Finding]:
     if shape.size and min(shape.size) <= 0:
         critical = min(shape.size) < 0
-        yield Finding(
+        yield finding_of(
             "meshes.no_size",
-            "critical" if critical else "warning",
             shape.place,
             _element(shape),
-            f"a {shape.kind} with a negative size" if critical else f"a {shape.kind} without size",
             " ".join(f"{value:g}" for value in shape.size),
-            "m",
-            "sizes above 0",
-            "it collides with nothing, or the simulator refuses it",
-            "state the size from the drawing",
+            severity="critical" if critical else "warning",
+            title=f"a {shape.kind} with a negative size"
+            if critical
+            else f"a {shape.kind} without size",
         )
     if (shape.scale < 0).any():
-        yield Finding(
+        yield finding_of(
             "meshes.mirrored",
-            "info",
             shape.place,
             _element(shape),
-            "its mesh is mirrored by a negative scale",
             " ".join(f"{value:g}" for value in shape.scale),
-            "1",
-            None,
-            "some loaders turn its faces inside out, others use the absolute value",
-            "write the mirrored mesh to a separate file, and use it with a positive scale",
         )
     scale = np.abs(shape.scale)
     if scale.min() > 0 and scale.max() / scale.min() > 1.001:
-        yield Finding(
+        yield finding_of(
             "meshes.stretched",
-            "info",
             shape.place,
             _element(shape),
-            "its scale differs between axes",
             " ".join(f"{value:g}" for value in shape.scale),
-            "1",
-            "one factor for all axes",
-            "it distorts a part that was scanned or exported from CAD",
-            "compare one length along each axis with the part",
         )
 
 
@@ -255,18 +240,16 @@ def _verdict(shape: Shape, solid: Solid, ratios: dict[str, float]) -> Iterator[F
             # Beside other shapes of its link, a part may be small for the link's mass.
             continue
         against = ", ".join(f"{ratio:.3g} times {what}" for what, ratio in beyond.items())
-        yield Finding(
+        yield finding_of(
             "meshes.units",
-            "critical" if agreed and shape.role == "collision" else "warning",
             shape.place,
             _element(shape),
-            f"its mesh is far too {words}: {against}"
-            + ("; millimetres taken for metres?" if words == "large" else "; scaled twice?"),
             solid.size,
-            "m",
-            f"a size near {next(iter(beyond))}",
-            "it collides with everything" if words == "large" else "it collides with nothing",
-            "measure one length of the part, and set the mesh's scale to match it",
+            severity="critical" if agreed and shape.role == "collision" else "warning",
+            title=f"its mesh is far too {words}: {against}"
+            + ("; millimetres taken for metres?" if words == "large" else "; scaled twice?"),
+            expected=f"a size near {next(iter(beyond))}",
+            why="it collides with everything" if words == "large" else "it collides with nothing",
         )
 
 
@@ -274,35 +257,13 @@ def _roles(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
     for name, body in asset.body.items():
         roles = {shape.role for shape in asset.shapes_of(name)}
         if roles == {"visual"} and (body.mass or 0) > 0:
-            yield Finding(
-                "meshes.no_collision",
-                "info",
-                body.place,
-                f"link '{name}'",
-                "it has mass and a visual shape, and no collision shape",
-                None,
-                None,
-                "a collision shape",
-                "it passes through other bodies",
-                "add a collision shape, if it can touch anything",
-            )
+            yield finding_of("meshes.no_collision", body.place, f"link '{name}'")
         seen, felt = geometry.body(name, "visual"), geometry.body(name, "collision")
         if seen is None or felt is None:
             continue
         off = float(np.linalg.norm(seen.centroid - felt.centroid))
         if off > max(seen.size, felt.size):
-            yield Finding(
-                "meshes.roles_apart",
-                "warning",
-                body.place,
-                f"link '{name}'",
-                "its visual and its collision shape are apart",
-                off,
-                "m",
-                "shapes at the same place",
-                "contact happens where nothing is visible",
-                "draw both shapes in one viewer, and correct an origin",
-            )
+            yield finding_of("meshes.roles_apart", body.place, f"link '{name}'", off)
 
 
 def _masked(asset: Asset) -> Iterator[Finding]:
@@ -328,21 +289,15 @@ def _masked(asset: Asset) -> Iterator[Finding]:
         return
     everything = len(masked) == len(bodies)
     shape = bodies[masked[0]][0]
-    yield Finding(
+    yield finding_of(
         "meshes.masked",
-        "warning",
         shape.place,
         f"robot '{asset.name}'" if everything else f"link '{masked[0]}'",
-        f"no pair of its {sum(map(len, bodies.values()))} collision shapes can collide"
+        f"contype {shape.masks[0]}, conaffinity {shape.masks[1]}" if shape.masks else None,
+        title=f"no pair of its {sum(map(len, bodies.values()))} collision shapes can collide"
         if everything
         else f"the collision shapes of {counted(len(masked), 'link')} can collide with nothing: "
         + list_names(masked),
-        f"contype {shape.masks[0]}, conaffinity {shape.masks[1]}" if shape.masks else None,
-        None,
-        "contype of one shape and conaffinity of the other with a bit in common",
-        "bodies pass through each other, and every contact test passes",
-        "set the masks, or declare the pairs under <contact>; for shapes that only show the robot "
-        "set both masks to 0",
     )
 
 
@@ -352,42 +307,22 @@ def _quality(fact: MeshFacts, shape: Shape, uses: list[Shape]) -> Iterator[Findi
     if not collides:
         return
     if fact.faces > _MANY_FACES:
-        yield Finding(
+        yield finding_of(
             "meshes.cost",
-            "info",
             shape.place,
             element,
-            f"the collision mesh has {fact.faces} triangles",
             float(fact.faces),
-            "triangles",
-            f"at most {_MANY_FACES}",
-            "loading, convex hulls and contact become slow",
-            "decimate the mesh, and check its largest distance from this one",
+            title=f"the collision mesh has {fact.faces} triangles",
+            expected=f"at most {_MANY_FACES}",
         )
     if not fact.is_watertight:
-        yield Finding(
-            "meshes.open",
-            "info",
-            shape.place,
-            element,
-            "the collision mesh is not closed",
-            None,
-            None,
-            "two faces at every edge",
-            "its volume and inside are undefined; simulators use its convex hull",
-            "export a closed mesh from CAD",
-        )
+        yield finding_of("meshes.open", shape.place, element)
     elif fact.convexity is not None and 0 < fact.convexity < 1 / _HOLLOW:
-        yield Finding(
+        yield finding_of(
             "meshes.not_convex",
-            "info",
             shape.place,
             element,
-            "the collision mesh is not convex: its hull has "
-            f"{1 / fact.convexity:.2g} times its volume",
             fact.convexity,
-            "1",
-            "volume / hull volume near 1, or several convex pieces",
-            "simulators collide with the hull, which fills holes and notches",
-            "decompose it into convex pieces, and compare distances at the poses that matter",
+            title="the collision mesh is not convex: its hull has "
+            f"{1 / fact.convexity:.2g} times its volume",
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pytest_twin.audit import read_urdf
 from pytest_twin.audit.asset import Asset
-from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.audit.finding import Place, finding_of
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import xml
 from pytest_twin.formats.declared_inputs import declared_inputs
@@ -47,13 +47,11 @@ def _add_irregularities(asset: Asset) -> Asset:
     """Add the file's violations of the XML standard to the asset's faults."""
     for found in xml.irregularities(asset.path):
         asset.faults.append(
-            Finding(
+            finding_of(
                 "tree.not_well_formed",
-                "warning",
                 Place(asset.path, found.line),
                 f"robot '{asset.name}'",
-                f"not well-formed by the XML standard: {found.words}",
-                why="MuJoCo and Pinocchio read it, and strict parsers refuse the whole file",
+                title=f"not well-formed by the XML standard: {found.words}",
                 settle="declare the prefix on the root element (xmlns:PREFIX=...)"
                 if "prefix" in found.words
                 else "write the comment without --",

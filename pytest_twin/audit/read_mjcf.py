@@ -23,7 +23,7 @@ from pytest_twin.audit.asset import (
     Shape,
     Vector,
 )
-from pytest_twin.audit.finding import LAYERS, Finding, Place, from_error
+from pytest_twin.audit.finding import LAYERS, Place, finding_of, from_error
 from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import inertia, mjcf
 from pytest_twin.realization.files.locate import ModelFolders
@@ -96,14 +96,11 @@ def read(path: Path, located: ModelFolders, *, limits: ModelLimits = LIMITS) -> 
         return out
     for words in warned:
         out.faults.append(
-            Finding(
+            finding_of(
                 "tree.compiler_warning",
-                "warning",
                 out.place,
                 f"robot '{out.name}'",
-                f"MuJoCo warns: {words}",
-                why="the compiler may have changed a value",
-                settle="correct the element that it names",
+                title=f"MuJoCo warns: {words}",
             )
         )
     _Compiled(spec, model, nodes, document, out).read()
@@ -290,15 +287,7 @@ class _Compiled:
                 )
         if self.spec.compiler.balanceinertia:
             self.out.faults.append(
-                Finding(
-                    "inertia.balanced",
-                    "warning",
-                    self.out.place,
-                    f"robot '{self.out.name}'",
-                    "balanceinertia is on: the compiler changes impossible inertias silently",
-                    why="the simulated inertia differs from the stated one",
-                    settle="compile without it, and correct the body that the compiler names",
-                )
+                finding_of("inertia.balanced", self.out.place, f"robot '{self.out.name}'")
             )
 
     def _joints(self) -> None:
@@ -517,17 +506,13 @@ class _Compiled:
         largest = max((max(abs(j.lower or 0), abs(j.upper or 0)) for j in limited), default=0.0)
         if len(limited) > 1 and self.spec.compiler.degree and largest <= _RADIANS_READ_AS_DEGREES:
             self.out.faults.append(
-                Finding(
+                finding_of(
                     "joints.range_radians",
-                    "critical",
                     limited[0].place,
                     f"joint '{limited[0].name}'",
-                    f"the ranges of all {len(limited)} hinges are tiny: radians read as degrees?",
                     largest,
-                    "rad",
-                    "<compiler angle='radian'/>, if the numbers are radians",
-                    "no joint can move",
-                    "compare one range with the data sheet of its joint",
+                    title=f"the ranges of all {len(limited)} hinges are tiny: "
+                    "radians read as degrees?",
                 )
             )
 

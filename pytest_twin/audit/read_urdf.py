@@ -21,7 +21,7 @@ from pytest_twin.audit.asset import (
     Shape,
     Transmission,
 )
-from pytest_twin.audit.finding import Finding, Place, from_error
+from pytest_twin.audit.finding import Place, finding_of, from_error
 from pytest_twin.audit.mesh_files import MeshFiles
 from pytest_twin.errors import FormatError, ModelError, PointerError, TwinError
 from pytest_twin.realization import urdf
@@ -210,17 +210,16 @@ class _Reader:
             shape.triangles = self.meshes.read(shape.file).scaled(shape.scale)
         except TwinError as error:
             self.out.faults.append(
-                Finding(
+                finding_of(
                     "meshes.unreadable",
-                    "critical" if shape.role == "collision" else "warning",
                     _place(node),
                     element,
-                    f"{shape.file.name}: {error.problem}",
                     None if error.value is None else str(error.value),
-                    error.unit,
-                    error.expected,
-                    "simulators leave the shape out, or refuse the robot",
-                    "run git lfs pull in the checkout that the robot comes from"
+                    severity="critical" if shape.role == "collision" else "warning",
+                    title=f"{shape.file.name}: {error.problem}",
+                    unit=error.unit,
+                    expected=error.expected,
+                    settle="run git lfs pull in the checkout that the robot comes from"
                     if isinstance(error, PointerError)
                     else f"export {shape.file.name} again from CAD",
                 )

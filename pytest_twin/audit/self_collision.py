@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.audit.asset import Asset, Vector
 from pytest_twin.audit.broad_phase import MOST_CANDIDATES, near_pairs
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 from pytest_twin.audit.geometry import Faces, Geometry
 from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import load
@@ -160,13 +160,11 @@ def measure(
 
 
 def _unknown(asset: Asset, why: str, settle: str) -> Finding:
-    return Finding(
+    return finding_of(
         "meshes.distances_unknown",
-        "unknown",
         asset.place,
         f"robot '{asset.name}'",
-        f"distances between collision shapes were not computed: {why}",
-        why="a self-collision that this audit misses first appears on the robot",
+        title=f"distances between collision shapes were not computed: {why}",
         settle=settle,
     )
 
@@ -338,19 +336,15 @@ def _findings(asset: Asset, result: PoseResult) -> Iterator[Finding]:
             (near.by_coal is not None)
             and abs(near.by_coal - near.distance) < max(_AGREE, 0.05 * abs(near.distance))
         )
-        yield Finding(
+        yield finding_of(
             "meshes.self_collision",
-            "warning",
             place,
             f"links '{near.first}' and '{near.second}'",
-            f"their collision shapes overlap at the pose '{result.name}'"
-            + ("" if agreed else "; MuJoCo and coal disagree about the depth"),
             near.distance,
-            "m",
-            "a distance of 0 or more at a pose that the robot can take"
+            title=f"their collision shapes overlap at the pose '{result.name}'"
+            + ("" if agreed else "; MuJoCo and coal disagree about the depth"),
+            expected="a distance of 0 or more at a pose that the robot can take"
             + (f"; coal computes {near.by_coal:.4g} m" if near.by_coal is not None else ""),
-            "a simulator pushes the two apart from the first step",
-            "shrink one of the shapes, or declare that the pair never collides",
         )
     if result.pairs is None:
         yield _unknown(

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pytest_twin.audit.asset import Asset
-from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.audit.finding import Finding, Place, finding_of
 from pytest_twin.words import list_names
-
-_WHY_TREE = "URDF describes a tree: parsers refuse the file, or each keeps a different part of it"
 
 
 def check(asset: Asset) -> Iterator[Finding]:
@@ -25,32 +23,23 @@ def _duplicates(asset: Asset) -> Iterator[Finding]:
     for kind, name, place in asset.named:
         before = first.setdefault((kind, name), place)
         if before is not place:
-            yield Finding(
+            yield finding_of(
                 "tree.duplicate_name",
-                "critical",
                 place,
                 f"{kind} '{name}'",
-                f"a second {kind} with this name",
                 name,
-                None,
-                f"another name than in line {before.line}",
-                "references by name reach one of the two, and tools choose differently",
-                "rename one of them, and check what refers to the name",
+                title=f"a second {kind} with this name",
+                expected=f"another name than in line {before.line}",
             )
             continue
         alike = folded.setdefault((kind, name.casefold()), name)
         if alike != name:
-            yield Finding(
+            yield finding_of(
                 "tree.alike_names",
-                "warning",
                 place,
                 f"{kind} '{name}'",
-                f"its name differs from '{alike}' only in upper and lower case",
                 name,
-                None,
-                "names that differ in more than upper and lower case",
-                "some file systems and formats treat the two as one name",
-                "rename one of them",
+                title=f"its name differs from '{alike}' only in upper and lower case",
             )
 
 
@@ -58,17 +47,12 @@ def _ends(asset: Asset) -> Iterator[Finding]:
     for edge in asset.edges:
         for end, name in (("parent", edge.parent), ("child", edge.child)):
             if name not in asset.body:
-                yield Finding(
+                yield finding_of(
                     "tree.missing_link",
-                    "critical",
                     edge.place,
                     f"joint '{edge.name}'",
-                    f"its {end} link does not exist",
                     name,
-                    None,
-                    "the name of a link of this robot",
-                    _WHY_TREE,
-                    "correct the name, or add the link",
+                    title=f"its {end} link does not exist",
                 )
 
 
@@ -76,31 +60,23 @@ def _parents(asset: Asset) -> Iterator[Finding]:
     for edge in asset.edges:
         above = asset.above[edge.child]
         if edge.parent == edge.child:
-            yield Finding(
+            yield finding_of(
                 "tree.loop",
-                "critical",
                 edge.place,
                 f"joint '{edge.name}'",
-                "it joins a link to itself",
                 edge.child,
-                None,
-                "two different links",
-                _WHY_TREE,
-                "look up in the drawing which link carries which",
+                title="it joins a link to itself",
+                expected="two different links",
+                settle="look up in the drawing which link carries which",
             )
         elif edge is not above:
-            yield Finding(
+            yield finding_of(
                 "tree.two_parents",
-                "critical",
                 edge.place,
                 f"joint '{edge.name}'",
-                f"link '{edge.child}' already has a parent, by joint '{above.name}' "
-                f"(line {above.place.line})",
                 edge.child,
-                None,
-                "one parent joint for each link",
-                _WHY_TREE,
-                "cut a real loop at one joint, and close it in the simulator's model",
+                title=f"link '{edge.child}' already has a parent, by joint '{above.name}' "
+                f"(line {above.place.line})",
             )
 
 
@@ -109,17 +85,15 @@ def _roots(asset: Asset) -> Iterator[Finding]:
     lost = [body for body in asset.body.values() if body.name not in reached]
     if lost:
         names = list_names([f"'{body.name}'" for body in lost])
-        yield Finding(
+        yield finding_of(
             "tree.loop",
-            "critical",
             lost[0].place,
             f"link '{lost[0].name}'",
-            f"links form a loop that no base carries: {names}",
             float(len(lost)),
-            "links",
-            "a chain of joints from the base to every link",
-            _WHY_TREE,
-            "join one of these links to the base",
+            title=f"links form a loop that no base carries: {names}",
+            unit="links",
+            expected="a chain of joints from the base to every link",
+            settle="join one of these links to the base",
         )
     if len(asset.roots) < 2:
         return
@@ -131,16 +105,11 @@ def _roots(asset: Asset) -> Iterator[Finding]:
     base = max(asset.roots, key=lambda root: sizes[root])
     for root in asset.roots:
         if root != base:
-            yield Finding(
+            yield finding_of(
                 "tree.disconnected",
-                # A stage may hold other things than the robot.
-                "critical" if asset.kind == "urdf" else "warning",
                 asset.body[root].place,
                 f"link '{root}'",
-                f"no chain of joints connects it to the base '{base}'",
                 float(sizes[root]),
-                "links",
-                "one base link",
-                _WHY_TREE,
-                "add the joint that carries it, or remove it",
+                severity="critical" if asset.kind == "urdf" else "warning",
+                title=f"no chain of joints connects it to the base '{base}'",
             )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from scipy.stats import qmc
 
 from pytest_twin.audit import self_collision
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.self_collision import BASE_POSE, PoseResult
 from pytest_twin.audit.srdf import states
@@ -173,18 +173,16 @@ def _always(
             continue
         adjacent = pair in neighbours
         reason = "Adjacent" if adjacent else "Default"
-        yield Finding(
+        yield finding_of(
             "planning.always_collides",
-            "warning",
             place_of(srdf.root),
             f"links '{near.first}' and '{near.second}'",
-            f"their convex hulls overlap at {_SAMPLES + 1} of {_SAMPLES + 1} poses, and the pair "
-            "is not disabled",
             near.distance,
-            "m",
-            f'<disable_collisions link1="{near.first}" link2="{near.second}" reason="{reason}"/>',
-            "a planner takes every pose for a collision",
-            "disable the pair"
+            title=f"their convex hulls overlap at {_SAMPLES + 1} of {_SAMPLES + 1} poses, "
+            "and the pair is not disabled",
+            expected=f'<disable_collisions link1="{near.first}" link2="{near.second}" '
+            f'reason="{reason}"/>',
+            settle="disable the pair"
             + ("" if adjacent else ", or shrink the shapes if they should not touch"),
         )
 
@@ -200,18 +198,13 @@ def _never(srdf: Srdf, results: tuple[PoseResult, ...]) -> Iterator[Finding]:
             if node is None or reason.strip().lower() != _NEVER or _pair_of(near) in told:
                 continue
             told.add(_pair_of(near))
-            yield Finding(
+            yield finding_of(
                 "planning.never_is_wrong",
-                "warning",
                 place_of(node),
                 label_of(node),
-                f"the pair is disabled with the reason '{reason}', but its convex hulls overlap "
-                + _where(srdf, near, result),
                 near.distance,
-                "m",
-                "no overlap within the ranges of the joints",
-                "a planner plans through this collision",
-                "look at the pose; if the shapes meet there, remove the element",
+                title=f"the pair is disabled with the reason '{reason}', "
+                "but its convex hulls overlap " + _where(srdf, near, result),
             )
 
 
@@ -238,15 +231,10 @@ def _state(
         pair = _pair_of(near)
         if pair in skipped or pair in always:
             continue
-        yield Finding(
+        yield finding_of(
             "planning.state_collides",
-            "warning",
             place_of(node),
             label_of(node),
-            f"the convex hulls of '{near.first}' and '{near.second}' overlap there",
             near.distance,
-            "m",
-            "a distance of 0 or more, or a disabled pair",
-            "a planner refuses the state as a collision",
-            "look at the pose: correct the state, or disable the pair if it never meets in reality",
+            title=f"the convex hulls of '{near.first}' and '{near.second}' overlap there",
         )

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Literal
 
 from pytest_twin.audit.asset import Asset, Mimic
-from pytest_twin.audit.finding import Finding, Place
+from pytest_twin.audit.finding import Finding, Place, finding_of
 from pytest_twin.realization.node import Node
 
 Kind = Literal["link", "joint", "group"]
@@ -194,17 +194,13 @@ class Srdf:
 
 def missing_attribute(node: Node, attribute: str, expected: str) -> Finding:
     """Build the finding for a missing or empty attribute."""
-    return Finding(
+    return finding_of(
         "planning.missing_attribute",
-        "critical",
         place_of(node),
         label_of(node),
-        f"the attribute '{attribute}' is missing",
-        None,
-        None,
-        expected,
-        "MoveIt drops the element",
-        f"state {attribute}=...",
+        title=f"the attribute '{attribute}' is missing",
+        expected=expected,
+        settle=f"state {attribute}=...",
     )
 
 

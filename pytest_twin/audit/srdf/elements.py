@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 
 from pytest_twin.asset.urdf_elements import by_path
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 from pytest_twin.audit.srdf.document import Srdf, place_of
 from pytest_twin.realization.node import Node
 
@@ -73,17 +73,16 @@ def _unknown(node: Node, label: str, known: Sequence[str] = ELEMENTS) -> Finding
     name = label.rpartition("@" if what == "attribute" else "/")[2]
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
     tool = _OTHER_TOOLS.get(name) if what == "element" else None
-    return Finding(
+    return finding_of(
         "planning.custom_tag",
-        "warning" if near else "info",
         place_of(node),
         label,
-        f"SRDF has no such {what}" + (f"; {tool} reads it" if tool else ""),
         name,
-        None,
-        near[0] if near else None,
-        f"MoveIt and Pinocchio ignore the {what}",
-        f"write {near[0]}" if near else "keep it if a tool of yours reads it",
+        severity="warning" if near else "info",
+        title=f"SRDF has no such {what}" + (f"; {tool} reads it" if tool else ""),
+        expected=near[0] if near else None,
+        why=f"MoveIt and Pinocchio ignore the {what}",
+        settle=f"write {near[0]}" if near else "keep it if a tool of yours reads it",
     )
 
 
@@ -94,15 +93,9 @@ def _rotors(srdf: Srdf, node: Node) -> Finding:
         f"gear_ratio={joint.attributes.get('gear_ratio')}"
         for joint in joints[:2]
     ]
-    return Finding(
+    return finding_of(
         "planning.rotor_inertia",
-        "warning",
         place_of(node),
         f"{_ROTORS} of {len(joints)} joints",
-        "rotor inertia and gear ratio, which Pinocchio alone reads from an SRDF",
         "; ".join(values) + (" ..." if len(joints) > len(values) else ""),
-        None,
-        "the same armature in the model of each simulator",
-        "every other simulator moves the joint without its rotor",
-        "state armature = rotor inertia * ratio^2 in the model that the twin uses",
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 from pytest_twin.audit.srdf.document import Srdf, label_of, missing_attribute, place_of
 from pytest_twin.realization.node import Node
 
@@ -33,17 +33,14 @@ def check(srdf: Srdf) -> Iterator[Finding]:
 def _robot_name(srdf: Srdf) -> Iterator[Finding]:
     name = srdf.root.attributes.get("name", "")
     if name != srdf.asset.name:
-        yield Finding(
+        yield finding_of(
             "planning.robot_name",
-            "warning",
             place_of(srdf.root),
             f"robot '{name}'",
-            f"{srdf.asset.path.name} describes another robot",
             name,
-            None,
-            srdf.asset.name,
-            "MoveIt reports an error, and an SRDF of another robot variant may be in use",
-            f"use the SRDF of this robot, or state name='{srdf.asset.name}'",
+            title=f"{srdf.asset.path.name} describes another robot",
+            expected=srdf.asset.name,
+            settle=f"use the SRDF of this robot, or state name='{srdf.asset.name}'",
         )
 
 
@@ -57,17 +54,13 @@ def _twice(srdf: Srdf) -> Iterator[Finding]:
             if not key[-1].strip():
                 yield missing_attribute(node, "name", "a name")
             elif key in first:
-                yield Finding(
+                yield finding_of(
                     "planning.same_name",
-                    "warning",
                     place_of(node),
                     label_of(node),
-                    f"line {first[key].line} has a {tag} of the same name",
                     key[-1],
-                    None,
-                    f"one {tag} of this name",
-                    "MoveIt keeps one of them",
-                    "rename or remove one",
+                    title=f"line {first[key].line} has a {tag} of the same name",
+                    expected=f"one {tag} of this name",
                 )
             else:
                 first[key] = node
@@ -89,34 +82,18 @@ def _group(srdf: Srdf, group: Node) -> Iterator[Finding]:
         members += 1
         yield from _chain(srdf, group, node)
     if not members:
-        yield Finding(
-            "planning.empty_group",
-            "warning",
-            place_of(group),
-            label_of(group),
-            "it has no member",
-            None,
-            None,
-            "links, joints, chains or other groups",
-            "MoveIt does not make the group",
-            "list its members, or remove it",
-        )
+        yield finding_of("planning.empty_group", place_of(group), label_of(group))
 
 
 def _circular_group(srdf: Srdf, group: Node, part: Node) -> Iterator[Finding]:
     name, inner = group.attributes.get("name", ""), part.attributes.get("name", "")
     if inner in srdf.groups and name in srdf.with_subgroups(inner):
-        yield Finding(
+        yield finding_of(
             "planning.circular_group",
-            "critical",
             place_of(part),
             label_of(group),
-            "it is a part of itself",
             inner,
-            None,
-            f"groups that do not hold '{name}'",
-            "MoveIt makes none of the groups of the loop",
-            "remove the group from its own parts",
+            expected=f"groups that do not hold '{name}'",
         )
 
 
@@ -139,17 +116,14 @@ def _chain(srdf: Srdf, group: Node, chain: Node) -> Iterator[Finding]:
     else:
         title, severity = "base_link does not carry tip_link", "warning"
         settle = "choose a base_link on the way from the root to tip_link"
-    yield Finding(
+    yield finding_of(
         "planning.chain",
-        "critical" if severity == "critical" else "warning",
         place_of(chain),
         f"{label_of(group)}: chain",
-        title,
         f"{base} to {tip}",
-        None,
-        "a base_link from which the tree leads to tip_link",
-        "kinematics solvers take a chain from its base outwards",
-        settle,
+        severity="critical" if severity == "critical" else "warning",
+        title=title,
+        settle=settle,
     )
 
 
@@ -174,17 +148,12 @@ def _end_effector(srdf: Srdf, node: Node) -> Iterator[Finding]:
             "the link of the arm to which the end effector is mounted",
         )
     if found is not None:
-        yield Finding(
+        yield finding_of(
             "planning.end_effector_parent",
-            "warning",
             place_of(node),
             label_of(node),
-            found[0],
-            None,
-            None,
-            found[1],
-            "MoveIt does not know which arm carries the end effector",
-            "correct parent_link or parent_group",
+            title=found[0],
+            expected=found[1],
         )
 
 
@@ -192,48 +161,33 @@ def _virtual_joint(srdf: Srdf, node: Node) -> Iterator[Finding]:
     yield from srdf.unknown(node, "child_link", "link")
     child = node.attributes.get("child_link", "")
     if child in srdf.links and child not in srdf.asset.roots:
-        yield Finding(
+        yield finding_of(
             "planning.virtual_joint_child",
-            "warning",
             place_of(node),
             label_of(node),
-            "its child_link is not the root of the robot",
             child,
-            None,
-            " or ".join(f"'{root}'" for root in srdf.asset.roots) or "the root link",
-            "MoveIt ignores a virtual joint that does not carry the root link",
-            "state the root link as child_link",
+            expected=" or ".join(f"'{root}'" for root in srdf.asset.roots) or "the root link",
         )
     if not node.attributes.get("parent_frame", "").strip():
         yield missing_attribute(
             node, "parent_frame", "the frame in which the robot is placed, such as 'world'"
         )
     elif node.attributes["parent_frame"] in srdf.links and srdf.links:
-        yield Finding(
+        yield finding_of(
             "planning.virtual_joint_parent",
-            "warning",
             place_of(node),
             label_of(node),
-            "its parent_frame is a link of the robot itself",
             node.attributes["parent_frame"],
-            None,
-            "a frame outside the robot, such as 'world'",
-            "the frame then has two parents",
-            "name a frame that no link has",
         )
     kind = node.attributes.get("type", "")
     if kind not in _VIRTUAL_TYPES:
-        yield Finding(
+        yield finding_of(
             "planning.virtual_joint_type",
-            "critical",
             place_of(node),
             label_of(node),
-            "no type of a virtual joint" if kind else "its type is missing",
             kind or None,
-            None,
-            ", ".join(_VIRTUAL_TYPES),
-            "MoveIt takes it as fixed",
-            "state the type",
+            title="no type of a virtual joint" if kind else "its type is missing",
+            expected=", ".join(_VIRTUAL_TYPES),
         )
 
 
@@ -252,15 +206,12 @@ def _passive_joint(srdf: Srdf, node: Node) -> Iterator[Finding]:
         )
     else:
         return
-    yield Finding(
+    yield finding_of(
         "planning.passive_joint",
-        "warning",
         place_of(node),
         label_of(node),
-        found[0],
         name,
-        None,
-        found[1],
-        "MoveIt expects no command for a passive joint",
-        found[2],
+        title=found[0],
+        expected=found[1],
+        settle=found[2],
     )

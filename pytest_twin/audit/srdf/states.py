@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 
 from pytest_twin.audit.asset import Joint
-from pytest_twin.audit.finding import Finding
+from pytest_twin.audit.finding import Finding, finding_of
 from pytest_twin.audit.srdf.document import Srdf, label_of, place_of
 from pytest_twin.errors import ModelError
 from pytest_twin.realization.node import Node
@@ -67,17 +67,14 @@ def _value(srdf: Srdf, state: Node, node: Node) -> Iterator[Finding]:
     count = None if joint is None else _variables(joint)
     if numbers is None or (count is not None and len(numbers) != count):
         unit = "" if joint is None or not joint.is_scalar else f" in {joint.unit}"
-        yield Finding(
+        yield finding_of(
             "planning.state_value",
-            "critical",
             place_of(node),
             element,
-            "its value cannot be read",
             node.attributes.get("value"),
-            None,
-            f"{count} finite numbers" if count not in (None, 1) else f"a finite number{unit}",
-            "MoveIt drops the joint from the state",
-            "correct the value",
+            expected=f"{count} finite numbers"
+            if count not in (None, 1)
+            else f"a finite number{unit}",
         )
         return
     if joint is None:
@@ -110,32 +107,27 @@ def _range(joint: Joint, value: float, node: Node, element: str) -> Iterator[Fin
         settle = "state the value with the digits of the limit"
     elif degrees:
         settle = f"if the value is in degrees, state {math.radians(value):.{_DIGITS}g} rad"
-    yield Finding(
+    yield finding_of(
         "planning.state_range",
-        "warning" if rounded else "critical",
         place_of(node),
         element,
-        "the state lies beyond the joint's range" + (", by rounding" if rounded else ""),
         value,
-        joint.unit,
-        f"{joint.lower:.{_DIGITS}g} to {joint.upper:.{_DIGITS}g} {joint.unit}",
-        "a planner refuses to start or to end there, and the robot cannot reach it",
-        settle,
+        severity="warning" if rounded else "critical",
+        title="the state lies beyond the joint's range" + (", by rounding" if rounded else ""),
+        unit=joint.unit,
+        expected=f"{joint.lower:.{_DIGITS}g} to {joint.upper:.{_DIGITS}g} {joint.unit}",
+        settle=settle,
     )
 
 
 def _pointless(node: Node, element: str, title: str, expected: str) -> Finding:
-    return Finding(
+    return finding_of(
         "planning.state_joint",
-        "warning",
         place_of(node),
         element,
-        title,
         node.attributes.get("value"),
-        None,
-        expected,
-        "the value has no effect",
-        "remove the joint from the state, or add it to the group",
+        title=title,
+        expected=expected,
     )
 
 
@@ -157,17 +149,12 @@ def _members(srdf: Srdf, state: Node) -> Iterator[Finding]:
     moving = {name for name in members if name in srdf.asset.joint}
     left_out = sorted(moving - stated - srdf.mimic_of.keys() - srdf.passive)
     if left_out:
-        yield Finding(
+        yield finding_of(
             "planning.state_incomplete",
-            "info",
             place_of(state),
             label_of(state),
-            f"{len(left_out)} joints of the group '{group}' have no value",
             ", ".join(left_out[:6]) + (" ..." if len(left_out) > 6 else ""),
-            None,
-            "a value for every joint that moves independently",
-            "MoveIt keeps the joint where it is, so the pose depends on the one before",
-            "state the missing values",
+            title=f"{len(left_out)} joints of the group '{group}' have no value",
         )
 
 
@@ -182,15 +169,12 @@ def _followers(srdf: Srdf, state: Node) -> Iterator[Finding]:
         follows = mimic.multiplier * values[mimic.leader] + mimic.offset
         if abs(values[mimic.follower] - follows) > _MIMIC:
             joint = srdf.asset.joint[mimic.follower]
-            yield Finding(
+            yield finding_of(
                 "planning.state_mimic",
-                "warning",
                 place_of(nodes[mimic.follower]),
                 f"{label_of(state)}: joint '{mimic.follower}'",
-                f"it follows '{mimic.leader}', which puts it elsewhere",
                 values[mimic.follower],
-                joint.unit,
-                f"{follows:.{_DIGITS}g} {joint.unit}",
-                "the value has no effect",
-                "remove the joint from the state: its leader sets it",
+                title=f"it follows '{mimic.leader}', which puts it elsewhere",
+                unit=joint.unit,
+                expected=f"{follows:.{_DIGITS}g} {joint.unit}",
             )

@@ -21,7 +21,7 @@ from pytest_twin.realization.features.canonical import (
     value_of,
 )
 from pytest_twin.realization.features.elements import OBJ, Elements
-from pytest_twin.realization.features.fields import FLEX
+from pytest_twin.realization.features.fields import FIELDS_OF_LAYER
 
 
 def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[str, dict[str, Any]]:
@@ -40,7 +40,9 @@ def layers(model: mujoco.MjModel, velocity_limit: Mapping[str, float]) -> dict[s
         found.setdefault(f"coupling:{coupling}", {}).update(value)
     if model.nflex:
         found["flex:all"] = {
-            name: value_of(getattr(model, name)) for name in sorted(FLEX) if hasattr(model, name)
+            name: value_of(getattr(model, name))
+            for name in sorted(FIELDS_OF_LAYER["flex"])
+            if hasattr(model, name)
         }
     found.update(_inputs_and_outputs(elements))
     found["option:gravity"] = {

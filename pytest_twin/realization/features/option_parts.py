@@ -11,7 +11,7 @@ from pytest_twin.realization.features.canonical import (
     value_of,
 )
 from pytest_twin.realization.features.elements import Elements
-from pytest_twin.realization.features.fields import CUSTOM, layer_of, model_fields
+from pytest_twin.realization.features.fields import FIELDS_OF_LAYER, layer_of, model_fields
 
 _LAYOUT_BYTES = 2**20
 """Size of an arena below which contacts may be dropped."""
@@ -44,7 +44,7 @@ def custom(elements: Elements) -> dict[str, Any]:
     model = elements.model
     content = {
         name: value_of(array)
-        for name in sorted(CUSTOM)
+        for name in sorted(FIELDS_OF_LAYER["custom"])
         if isinstance(array := getattr(model, name), np.ndarray) and array.size
     }
     if model.text_data:
