@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin import cli, errors
+from pytest_twin.audit.finding import catalogue
 from pytest_twin.checks import check_of, kinds
 from pytest_twin.session import options
 
@@ -156,6 +157,25 @@ def error_types() -> str:
     )
 
 
+def findings() -> str:
+    """Every finding of the audit, with its consequence and the next step."""
+    lines = [
+        "# Findings of the audit",
+        "",
+        "[The audit](../../audit.md) names each finding by its code. An empty cell depends on the",
+        "robot, and the report states it.",
+        "",
+    ]
+    columns = ("severity", "expected", "why", "settle")
+    for layer, names in catalogue().items():
+        rows = (
+            (f"`{layer}.{name}`", *(fields.get(column, "") for column in columns))
+            for name, fields in names.items()
+        )
+        lines += [f"## {layer}", "", *_table(("finding", *columns), rows)]
+    return "\n".join(lines)
+
+
 API = {
     "pytest_twin.library": "Functions of pytest_twin",
     "pytest_twin.loaded_model": "",
@@ -202,6 +222,7 @@ PAGES = {
     "golden_kinds.md": golden_kinds,
     "files.md": files,
     "errors.md": error_types,
+    "findings.md": findings,
 }
 
 

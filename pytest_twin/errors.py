@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
+from typing import Any
 
 
 class TwinError(Exception):
@@ -80,6 +81,23 @@ class PointerError(FormatError):
 
 class LimitError(FormatError):
     """A file that exceeds a limit of size, depth, count, time or memory."""
+
+
+def require_at_most(
+    value: float, most: float, problem: str, *, unit: str | None = None, **place: Any
+) -> None:
+    """Check a size or count against its limit.
+
+    Args:
+        problem: what is said of a larger one, such as ``too many rows``.
+        place: ``path``, ``line`` and ``where`` of the error.
+
+    Raises:
+        LimitError: ``value`` is larger than ``most``.
+    """
+    if value > most:
+        expected = f"at most {most}" + (f" {unit}" if unit else "")
+        raise LimitError(problem, value=value, unit=unit, expected=expected, **place)
 
 
 class PathError(TwinError):

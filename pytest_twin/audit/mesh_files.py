@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pytest_twin.errors import LimitError, TwinError
+from pytest_twin.errors import TwinError, require_at_most
 from pytest_twin.realization import mesh
 from pytest_twin.realization.limits import ModelLimits
 
@@ -45,10 +45,4 @@ class MeshFiles:
 
     @staticmethod
     def _bound(what: str, count: int, most: int, path: Path) -> None:
-        if count > most:
-            raise LimitError(
-                f"the meshes together have too many {what}",
-                path=path,
-                value=count,
-                expected=f"at most {most}",
-            )
+        require_at_most(count, most, f"the meshes together have too many {what}", path=path)

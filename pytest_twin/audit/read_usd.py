@@ -25,7 +25,7 @@ from pytest_twin.audit.asset import (
     Vector,
 )
 from pytest_twin.audit.finding import Place
-from pytest_twin.errors import FormatError, LimitError, ModelError
+from pytest_twin.errors import FormatError, ModelError, require_at_most
 from pytest_twin.formats.paths import Roots, read_bytes
 from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.mesh import Triangles
@@ -88,15 +88,11 @@ def _layers(path: Path, further: Sequence[Path], limits: ModelLimits) -> list[Pa
         if file in found:
             continue
         found.append(file)
-        if len(found) > _MOST_LAYERS:
-            raise LimitError("too many layers", path=path, expected=f"at most {_MOST_LAYERS}")
+        require_at_most(len(found), _MOST_LAYERS, "too many layers", path=path)
         total += len(read_bytes(file, limits.asset_bytes))
-        if total > limits.total_asset_bytes:
-            raise LimitError(
-                "the layers are too large",
-                path=path,
-                expected=f"at most {limits.total_asset_bytes} bytes",
-            )
+        require_at_most(
+            total, limits.total_asset_bytes, "the layers are too large", unit="bytes", path=path
+        )
         layer = Sdf.Layer.FindOrOpen(str(file))
         if layer is None:
             raise FormatError("not a USD layer", path=file, expected=".usda, .usdc or .usd")
@@ -138,10 +134,7 @@ class _Reader:
         prims = []
         for prim in Usd.PrimRange.Stage(self.stage, Usd.TraverseInstanceProxies()):
             prims.append(prim)
-            if len(prims) > self.limits.elements:
-                raise LimitError(
-                    "too many prims", path=self.out.path, expected=f"at most {self.limits.elements}"
-                )
+            require_at_most(len(prims), self.limits.elements, "too many prims", path=self.out.path)
         for prim in prims:
             if prim.HasAPI(UsdPhysics.RigidBodyAPI):
                 self._body(prim)
@@ -408,12 +401,12 @@ class _Reader:
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
         faces = fan(counts, corners)
         self.faces += len(faces)
-        if self.faces > self.limits.total_mesh_faces:
-            raise LimitError(
-                "the meshes have too many triangles",
-                path=self.out.path,
-                expected=f"at most {self.limits.total_mesh_faces}",
-            )
+        require_at_most(
+            self.faces,
+            self.limits.total_mesh_faces,
+            "the meshes have too many triangles",
+            path=self.out.path,
+        )
         broken = (
             not len(faces)
             or not np.isfinite(vertices).all()

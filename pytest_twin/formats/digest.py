@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from pytest_twin.errors import LimitError, PathError
+from pytest_twin.errors import PathError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import open_regular
 
@@ -31,12 +31,9 @@ def file_sha256(path: Path) -> str:
         try:
             while block := stream.read(_BLOCK_BYTES):
                 total += len(block)
-                if total > limits.HASH.file_bytes:
-                    raise LimitError(
-                        "file is too large",
-                        path=path,
-                        expected=f"at most {limits.HASH.file_bytes} bytes",
-                    )
+                require_at_most(
+                    total, limits.HASH.file_bytes, "file is too large", unit="bytes", path=path
+                )
                 digest.update(block)
         except OSError as error:
             raise PathError(f"cannot be read: {error.strerror}", path=path) from error

@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Contents, Region, Schema
 
@@ -74,14 +74,9 @@ class _Walker:
         self.in_summary = False
 
     def regions(self) -> Iterator[Region]:
-        if self.size > limits.MCAP.file_bytes:
-            raise LimitError(
-                "file is too large",
-                path=self.path,
-                value=self.size,
-                unit="bytes",
-                expected=f"at most {limits.MCAP.file_bytes} bytes",
-            )
+        require_at_most(
+            self.size, limits.MCAP.file_bytes, "file is too large", unit="bytes", path=self.path
+        )
         if self.take(len(MAGIC)) != MAGIC:
             raise FormatError(
                 "not an MCAP file", path=self.path, expected="the MCAP magic in its first 8 bytes"
@@ -183,15 +178,14 @@ class _Walker:
             yield region
 
     def chunk(self, start: int, length: int) -> Iterator[Region]:
-        if length > limits.MCAP.chunk_bytes:
-            raise LimitError(
-                "a chunk is too large",
-                path=self.path,
-                where=f"byte {start}",
-                value=length,
-                unit="bytes",
-                expected=f"at most {limits.MCAP.chunk_bytes} bytes",
-            )
+        require_at_most(
+            length,
+            limits.MCAP.chunk_bytes,
+            "a chunk is too large",
+            unit="bytes",
+            path=self.path,
+            where=f"byte {start}",
+        )
         place = f"chunk at byte {start}"
         self.take(9)
         content = self.take(length)
@@ -237,15 +231,7 @@ class _Walker:
                 self.most_uncompressed,
             ),
         ):
-            if value > bound:
-                raise LimitError(
-                    what,
-                    path=self.path,
-                    where=place,
-                    value=value,
-                    unit="bytes",
-                    expected=f"at most {bound} bytes",
-                )
+            require_at_most(value, bound, what, unit="bytes", path=self.path, where=place)
         try:
             data = _decompress(packed, compression, size)
         except _UnknownCompressionError:
@@ -422,12 +408,12 @@ class _Walker:
         fields = _Fields(content)
         if opcode == METADATA:
             self.contents.metadata.append((fields.text(), fields.pairs()))
-            if len(self.contents.metadata) > limits.MCAP.channels_count:
-                raise LimitError(
-                    "too many metadata records",
-                    path=self.path,
-                    expected=f"at most {limits.MCAP.channels_count}",
-                )
+            require_at_most(
+                len(self.contents.metadata),
+                limits.MCAP.channels_count,
+                "too many metadata records",
+                path=self.path,
+            )
         elif opcode == CHUNK_INDEX:
             fields.integer(16)
             self.indexed.append(fields.integer(8))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 
@@ -123,14 +123,7 @@ def read_observations(path: Path) -> ObservationTable:
 def _header(cells: Sequence[str], path: Path, line: int) -> tuple[str, ...]:
     bounds = limits.OBSERVATIONS
     header = tuple(cell.strip().lstrip("#").strip() for cell in cells)
-    if len(header) > bounds.columns_count:
-        raise LimitError(
-            "too many columns",
-            path=path,
-            line=line,
-            value=len(header),
-            expected=f"at most {bounds.columns_count}",
-        )
+    require_at_most(len(header), bounds.columns_count, "too many columns", path=path, line=line)
     for at, name in enumerate(header):
         problem = None
         if name in header[:at]:

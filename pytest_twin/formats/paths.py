@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from pytest_twin.errors import FormatError, LimitError, PathError, PointerError
+from pytest_twin.errors import FormatError, PathError, PointerError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.declared_inputs import declared_inputs
 from pytest_twin.formats.links import allowed_end
@@ -261,14 +261,7 @@ def read_bytes(path: Path, max_bytes: int, *, links: bool = True) -> bytes:
             data = stream.read(max_bytes + 1) if size <= max_bytes else b""
         except OSError as error:
             raise PathError(f"cannot be read: {error.strerror}", path=path) from None
-    if max(size, len(data)) > max_bytes:
-        raise LimitError(
-            "file is too large",
-            path=path,
-            value=max(size, len(data)),
-            unit="bytes",
-            expected=f"at most {max_bytes} bytes",
-        )
+    require_at_most(max(size, len(data)), max_bytes, "file is too large", unit="bytes", path=path)
     return data
 
 

@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Contents, Region, Schema
 from pytest_twin.formats.decompression import ZSTD_MAGIC, decompressed_file
@@ -63,14 +63,7 @@ def gather_sqlite(path: Path, collector: MessageCollector) -> None:
     contents = collector.file(path)
     with open_regular(path) as stream:
         size = stream.seek(0, 2)
-        if size > limits.MCAP.file_bytes:
-            raise LimitError(
-                "file is too large",
-                path=path,
-                value=size,
-                unit="bytes",
-                expected=f"at most {limits.MCAP.file_bytes} bytes",
-            )
+        require_at_most(size, limits.MCAP.file_bytes, "file is too large", unit="bytes", path=path)
         stream.seek(0)
         magic = stream.read(len(MAGIC))
         if magic[:4] == ZSTD_MAGIC:

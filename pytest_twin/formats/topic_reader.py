@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.errors import LimitError, RecordingError
+from pytest_twin.errors import LimitError, RecordingError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.bag import Channel, Region
 from pytest_twin.formats.batches import named_joints, note_not_finite, table_of
@@ -123,23 +123,23 @@ class TopicReader:
                 f"message {self.seen + row} ({region.place}, byte {int(region.start[rows[row]])} "
                 f"of its content): {problem}"
             )
-            if self.bad > limits.MCAP.undecodable_count:
-                raise LimitError(
-                    f"too many messages that cannot be decoded, first {self.first_bad}",
-                    path=self.path,
-                    where=self.topic,
-                    expected=f"at most {limits.MCAP.undecodable_count}",
-                )
+            require_at_most(
+                self.bad,
+                limits.MCAP.undecodable_count,
+                f"too many messages that cannot be decoded, first {self.first_bad}",
+                path=self.path,
+                where=self.topic,
+            )
             return
         self._take_names(found.names, self.seen + int(found.rows[0]))
         self.samples += len(found.rows) * len(found.names)
-        if self.samples > limits.MCAP.samples_count:
-            raise LimitError(
-                "too many samples",
-                path=self.path,
-                where=self.topic,
-                expected=f"at most {limits.MCAP.samples_count}",
-            )
+        require_at_most(
+            self.samples,
+            limits.MCAP.samples_count,
+            "too many samples",
+            path=self.path,
+            where=self.topic,
+        )
         self.order.append(found.rows + self.seen)
         self.log_times.append(region.log_time[rows[found.rows]])
         self.batches.append(found)
@@ -370,13 +370,13 @@ class TopicReader:
     def _refuse_wide(self, joints: int) -> None:
         """Refuse tables that messages with different joints make far larger than the file."""
         rows = sum(len(batch.rows) for batch in self.batches)
-        if rows * joints > limits.MCAP.samples_count:
-            raise LimitError(
-                f"too many samples: {rows} messages that name {joints} joints between them",
-                path=self.path,
-                where=self.topic,
-                expected=f"at most {limits.MCAP.samples_count}",
-            )
+        require_at_most(
+            rows * joints,
+            limits.MCAP.samples_count,
+            f"too many samples: {rows} messages that name {joints} joints between them",
+            path=self.path,
+            where=self.topic,
+        )
 
     def _usable_stamps(self, stamp: Integers, log_time: Integers) -> Integers:
         unset = int((stamp == 0).sum())

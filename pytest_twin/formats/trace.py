@@ -15,7 +15,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.digest import only_line_endings
 from pytest_twin.formats.paths import decode_text, read_bytes
@@ -64,13 +64,7 @@ def parse_trace(text: str, path: Path) -> Trace:
     rows = lines[1:]
     if not rows:
         raise FormatError("no rows", path=path, line=1, expected="at least one row of numbers")
-    if len(rows) > limits.TRACE.rows_count:
-        raise LimitError(
-            "too many rows",
-            path=path,
-            value=len(rows),
-            expected=f"at most {limits.TRACE.rows_count}",
-        )
+    require_at_most(len(rows), limits.TRACE.rows_count, "too many rows", path=path)
     values = _numbers(rows, headings, path)
     x = np.ascontiguousarray(values[:, 0])
     falling = np.flatnonzero(~(np.diff(x) > 0))
@@ -139,14 +133,7 @@ def trace_text(trace: Trace) -> str:
 
 def _headings(line: str, path: Path) -> list[tuple[str, str]]:
     cells = line.split(",")
-    if len(cells) > limits.TRACE.columns_count:
-        raise LimitError(
-            "too many columns",
-            path=path,
-            line=1,
-            value=len(cells),
-            expected=f"at most {limits.TRACE.columns_count}",
-        )
+    require_at_most(len(cells), limits.TRACE.columns_count, "too many columns", path=path, line=1)
     found: list[tuple[str, str]] = []
     for index, cell in enumerate(cells):
         match = _HEADING.fullmatch(cell)

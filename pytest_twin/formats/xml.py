@@ -11,7 +11,7 @@ from xml.parsers import expat
 
 from lxml import etree
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.declared_inputs import expansion_of
 from pytest_twin.formats.digest import bytes_sha256
@@ -105,10 +105,7 @@ def plain_name(name: str, element: Element) -> str:
 
 
 def _parse(data: bytes, path: Path) -> tuple[Element, tuple[Irregularity, ...]]:
-    if len(data) > limits.XML.file_bytes:
-        raise LimitError(
-            "file is too large", path=path, expected=f"at most {limits.XML.file_bytes} bytes"
-        )
+    require_at_most(len(data), limits.XML.file_bytes, "file is too large", unit="bytes", path=path)
     # Convert to one encoding, so that the checks below see the same text as the parser.
     data = _as_utf8(data, path)
     if not data.strip():

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import yaml
 
-from pytest_twin.errors import FormatError, LimitError, SpecError
+from pytest_twin.errors import FormatError, LimitError, SpecError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 
@@ -98,10 +98,7 @@ def loads(text: str, path: Path) -> Document:
         LimitError: beyond ``limits.YAML``.
         FormatError: not strict YAML; with line and column.
     """
-    if len(text) > limits.YAML.file_bytes:
-        raise LimitError(
-            "file is too large", path=path, expected=f"at most {limits.YAML.file_bytes} bytes"
-        )
+    require_at_most(len(text), limits.YAML.file_bytes, "file is too large", unit="bytes", path=path)
     odd = _UNPRINTABLE.search(text)
     if odd is not None:
         line = text.count("\n", 0, odd.start()) + 1

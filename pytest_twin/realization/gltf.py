@@ -12,7 +12,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats.paths import Roots, read_bytes
 from pytest_twin.realization.limits import ModelLimits
 
@@ -126,8 +126,7 @@ def _check_counts(document: Mapping[str, Any], path: Path, limits: ModelLimits) 
             path=path,
             expected="a tree of nodes; export the mesh again",
         )
-    if len(nodes) > _MAX_NODES:
-        raise LimitError("too many nodes", path=path, expected=f"at most {_MAX_NODES}")
+    require_at_most(len(nodes), _MAX_NODES, "too many nodes", path=path)
     if max([total, *(count // 3 for count in counts)], default=0) > limits.mesh_faces:
         raise LimitError(
             "too many triangles",

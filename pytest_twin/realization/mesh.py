@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.errors import FormatError, LimitError, TwinError
+from pytest_twin.errors import FormatError, TwinError, require_at_most
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.realization import gltf
@@ -111,13 +111,7 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
             path=path,
             expected="three vertices a face; export the mesh as triangles",
         )
-    if len(triangles.faces) > limits.mesh_faces:
-        raise LimitError(
-            "too many triangles",
-            path=path,
-            value=len(triangles.faces),
-            expected=f"at most {limits.mesh_faces}",
-        )
+    require_at_most(len(triangles.faces), limits.mesh_faces, "too many triangles", path=path)
     if not np.isfinite(triangles.vertices).all():
         odd = np.flatnonzero(~np.isfinite(triangles.vertices).all(axis=1))[0]
         raise FormatError(

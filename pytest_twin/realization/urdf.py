@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, require_at_most
 from pytest_twin.formats import xml
 from pytest_twin.formats.declared_inputs import expansion_of
 from pytest_twin.formats.expansions import SUFFIX, model_stem
@@ -254,8 +254,7 @@ def _nodes(root: xml.Element, path: Path, limits: ModelLimits) -> Node:
     def node(element: Any) -> Node:
         nonlocal count
         count += 1
-        if count > limits.elements:
-            raise LimitError("too many elements", path=path, expected=f"at most {limits.elements}")
+        require_at_most(count, limits.elements, "too many elements", path=path)
         return Node(
             xml.plain_name(str(element.tag), element),
             {xml.plain_name(str(k), element): str(v) for k, v in element.attrib.items()},

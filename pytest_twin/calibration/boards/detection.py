@@ -16,7 +16,7 @@ from pytest_twin.calibration.boards.image_file import Grey, read_grey
 from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.boards.sharpness import blur_px, image_blur_px
 from pytest_twin.calibration.boards.target import Target
-from pytest_twin.errors import LimitError, TwinError
+from pytest_twin.errors import TwinError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.time_limit import current_limit
 
@@ -106,13 +106,13 @@ def detect_files(
         LimitError: more files than ``limits.IMAGES`` allows.
         SpecError: OpenCV is not installed.
     """
-    if len(paths) > limits.IMAGES.files_count:
-        raise LimitError(
-            "too many images",
-            path=paths[0].parent,
-            value=len(paths),
-            expected=f"at most {limits.IMAGES.files_count} images",
-        )
+    require_at_most(
+        len(paths),
+        limits.IMAGES.files_count,
+        "too many images",
+        unit="images",
+        path=paths[0].parent,
+    )
     opencv()
     names = [path.name for path in paths] if names is None else names
 

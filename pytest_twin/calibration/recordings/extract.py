@@ -23,7 +23,7 @@ from pytest_twin.calibration.recordings.at_rest import (
     rest_and_motion,
 )
 from pytest_twin.calibration.recordings.pose_topics import first_stamp, poses_asked, seconds
-from pytest_twin.errors import LimitError, RecordingError
+from pytest_twin.errors import RecordingError, require_at_most
 from pytest_twin.formats import atomic, limits
 from pytest_twin.formats.recording import TOPICS, JointSeries
 from pytest_twin.formats.sensor_bag import SensorCollector, gather_sensors
@@ -202,11 +202,9 @@ def _write_images(
     bag: SensorCollector, topic: str, chosen: Sequence[int], folder: Path
 ) -> dict[int, str]:
     """Decode the chosen images and write them; return number -> path relative to the folder."""
-    if len(chosen) > limits.IMAGES.files_count:
-        raise LimitError(
-            "too many images at rest", path=bag.path, value=len(chosen),
-            expected=f"at most {limits.IMAGES.files_count}",
-        )  # fmt: skip
+    require_at_most(
+        len(chosen), limits.IMAGES.files_count, "too many images at rest", path=bag.path
+    )
     atomic.make_folder(folder / "images")
     found: dict[int, str] = {}
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats import base_pose, limits
 from pytest_twin.formats.recording import Damage, JointSeries, Recording
 from pytest_twin.formats.recordings.base import ReadingOptions
@@ -78,14 +78,9 @@ class _Table:
         except csv.Error as error:
             raise self.error(f"no CSV header: {error}") from None
         cells = [cell.strip() for cell in cells]
-        if len(cells) > limits.CSV.columns_count:
-            raise LimitError(
-                "too many columns",
-                path=self.path,
-                line=self.line,
-                value=len(cells),
-                expected=f"at most {limits.CSV.columns_count}",
-            )
+        require_at_most(
+            len(cells), limits.CSV.columns_count, "too many columns", path=self.path, line=self.line
+        )
         if len(cells) < 2:
             raise self.error("fewer than two columns", expected=f"a header: {_MEANING}")
         for at, cell in enumerate(cells):
@@ -136,14 +131,9 @@ class _Table:
                    if topics else self._mapping()),
             )  # fmt: skip
         joints = {column.joint for column in found.values()}
-        if len(joints) > limits.MCAP.joints_count:
-            raise LimitError(
-                "too many joints",
-                path=self.path,
-                line=self.line,
-                value=len(joints),
-                expected=f"at most {limits.MCAP.joints_count}",
-            )
+        require_at_most(
+            len(joints), limits.MCAP.joints_count, "too many joints", path=self.path, line=self.line
+        )
         return self.with_units_of_joints(found)
 
     def column(self, heading: str, meaning: str | None) -> Column | None:

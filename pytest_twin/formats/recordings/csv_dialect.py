@@ -9,7 +9,7 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 
@@ -69,11 +69,9 @@ def csv_bytes(path: Path) -> bytes:
                         "ends inside the compressed data", path=path, expected="a whole gzip file"
                     )
                 size += len(block)
-                if size > allowed:
-                    raise LimitError(
-                        "too large after decompression", path=path,
-                        expected=f"at most {allowed} bytes",
-                    )  # fmt: skip
+                require_at_most(
+                    size, allowed, "too large after decompression", unit="bytes", path=path
+                )
                 blocks.append(block)
             data = member.unused_data
     except zlib.error as error:
@@ -119,11 +117,14 @@ def _split(path: Path, data: bytes) -> tuple[str, str, int, bytes]:
     for line in range(1, _LINES_BEFORE + 1):
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
-        if end - start > limits.CSV.header_bytes:
-            raise LimitError(
-                "the first line is too long", path=path, line=line,
-                expected=f"at most {limits.CSV.header_bytes} bytes",
-            )  # fmt: skip
+        require_at_most(
+            end - start,
+            limits.CSV.header_bytes,
+            "the first line is too long",
+            unit="bytes",
+            path=path,
+            line=line,
+        )
         text = decode_text(data[start:end], path).strip()
         start = end + 1
         stated = _EXCEL_SEPARATOR.fullmatch(text)

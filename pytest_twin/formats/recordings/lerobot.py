@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pytest_twin.errors import FormatError, LimitError, RecordingError
+from pytest_twin.errors import FormatError, RecordingError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.formats.recording import JointSeries, Notes, Recording
@@ -217,13 +217,9 @@ class Dataset:
         time = self._times(table)
         episode = table["episode_index"].astype(np.int64)
         first = np.flatnonzero(np.diff(episode, prepend=episode[0] - 1))
-        if len(first) > limits.MCAP.messages_free_count:
-            raise LimitError(
-                "too many episodes",
-                path=self.path,
-                value=len(first),
-                expected=f"at most {limits.MCAP.messages_free_count}",
-            )
+        require_at_most(
+            len(first), limits.MCAP.messages_free_count, "too many episodes", path=self.path
+        )
         ends = [*first[1:].tolist(), len(episode)]
         notes = tuple(str(note) for note in self.notes.all())
         return [

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import Roots, open_regular
 from pytest_twin.formats.ros_serialization import Floats
@@ -50,13 +50,7 @@ def data_files(folder: Path, template: object, at: Path) -> list[Path]:
             "file-{file_index:03d}.parquet",
         )
     found = sorted(folder.glob(pattern))
-    if len(found) > limits.PARQUET.files_count:
-        raise LimitError(
-            "too many data files",
-            path=folder,
-            value=len(found),
-            expected=f"at most {limits.PARQUET.files_count}",
-        )
+    require_at_most(len(found), limits.PARQUET.files_count, "too many data files", path=folder)
     if not found:
         raise FormatError(
             "no data file is there",
@@ -128,13 +122,7 @@ def _damage(arrow: type[Exception]) -> tuple[type[Exception], ...]:
 
 def _check_size(metadata: Any, columns: Mapping[str, int], rows: int, file: Path) -> None:
     values = sum(max(1, width) for width in columns.values())
-    if rows * values > limits.MCAP.samples_count:
-        raise LimitError(
-            "too many values",
-            path=file,
-            value=rows * values,
-            expected=f"at most {limits.MCAP.samples_count}",
-        )
+    require_at_most(rows * values, limits.MCAP.samples_count, "too many values", path=file)
     # Check whole row groups: pyarrow crashes the process if it is asked for the size of a column
     # with damaged statistics.
     unpacked = sum(metadata.row_group(n).total_byte_size for n in range(metadata.num_row_groups))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
 
-from pytest_twin.errors import FormatError, LimitError, PathError
+from pytest_twin.errors import FormatError, PathError, require_at_most
 from pytest_twin.formats import limits, yaml
 from pytest_twin.formats.mcap import gather_mcap
 from pytest_twin.formats.message_collector import MessageCollector
@@ -55,10 +55,7 @@ class Rosbag2Folder:
             collector.notes.add(
                 METADATA, "missing: the recorder was killed; the folder's files are read by name"
             )
-        if len(files) > limits.MCAP.channels_count:
-            raise LimitError(
-                "too many files", path=path, expected=f"at most {limits.MCAP.channels_count}"
-            )
+        require_at_most(len(files), limits.MCAP.channels_count, "too many files", path=path)
         for file in files:
             if file.name.lower().endswith(sqlite.SUFFIXES):
                 gather_sqlite(file, collector)

@@ -10,7 +10,7 @@ import importlib
 import stat
 from pathlib import Path
 
-from pytest_twin.errors import FormatError, LimitError, PathError
+from pytest_twin.errors import FormatError, PathError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import follow
 from pytest_twin.formats.stamps.base import Carrier
@@ -61,12 +61,9 @@ def carriers_of(path: Path) -> list[Carrier]:
     for file in sorted(path.rglob("*")):
         if follow(file).is_file() and (carrier := _carrier(file)) is not None:
             found.append(carrier)
-        if len(found) > limits.STAMPS.files_count:
-            raise LimitError(
-                "too many files for a data set",
-                path=path,
-                expected=f"at most {limits.STAMPS.files_count}",
-            )
+        require_at_most(
+            len(found), limits.STAMPS.files_count, "too many files for a data set", path=path
+        )
     if not found:
         raise FormatError("no file in this folder can store a stamp", path=path, expected=KINDS)
     return found

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from pytest_twin.errors import FormatError, LimitError
+from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats import limits
 from pytest_twin.formats.atomic import open_replacement
 from pytest_twin.formats.mcap_walk import (
@@ -200,11 +200,9 @@ class McapStamp:
             return ()
         if not data_end <= start <= end <= footer:
             raise self._damaged("its footer points outside the index")
-        if end - start > _SUMMARY_BYTES:
-            raise LimitError(
-                "its index is too large", path=self.path, value=end - start,
-                expected=f"at most {_SUMMARY_BYTES} bytes",
-            )  # fmt: skip
+        require_at_most(
+            end - start, _SUMMARY_BYTES, "its index is too large", unit="bytes", path=self.path
+        )
         found = []
         for record in self._records(stream, start, end):
             stream.seek(record.start + 9)
@@ -217,11 +215,13 @@ class McapStamp:
         from mcap.records import Metadata
 
         length = record.end - record.start - 9
-        if length > limits.STAMPS.stamp_bytes:
-            raise LimitError(
-                "a metadata record is too large", path=self.path, value=length,
-                expected=f"at most {limits.STAMPS.stamp_bytes} bytes",
-            )  # fmt: skip
+        require_at_most(
+            length,
+            limits.STAMPS.stamp_bytes,
+            "a metadata record is too large",
+            unit="bytes",
+            path=self.path,
+        )
         stream.seek(record.start + 9)
         try:
             return Metadata.read(ReadDataStream(io.BytesIO(stream.read(length))))
