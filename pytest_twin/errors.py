@@ -89,7 +89,7 @@ def require_at_most(
     """Check a size or count against its limit.
 
     Args:
-        problem: what is said of a larger one, such as ``too many rows``.
+        problem: description of a larger one, such as ``too many rows``.
         place: ``path``, ``line`` and ``where`` of the error.
 
     Raises:
