@@ -34,17 +34,13 @@ def _left_out(label: str, found: list[StatedElement]) -> Finding:
     shown = ", ".join(values[:_SHOWN])
     more = f" and {len(values) - _SHOWN} more" if len(values) > _SHOWN else ""
     count = "once" if len(found) == 1 else f"{len(found)} times"
-    return Finding(
+    return finding_of(
         goes.code,
-        "warning" if first.entry.is_physical else "info",
         Place(first.node.path, first.node.line),
         label,
-        f"stated {count}, and no realization preserves it",
         shown + more,
-        None,
-        None,
-        goes.why or "it is lost in every conversion",
-        goes.settle or "nothing, unless a tool of yours reads it",
+        severity="warning" if first.entry.is_physical else "info",
+        title=f"stated {count}, and no realization preserves it",
     )
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import resources
 from typing import Any
 
 
@@ -23,82 +25,19 @@ class Source:
     name: str
     what: str
     next_step: str
-    codes: tuple[str, ...]
+    codes: Sequence[str]
 
 
-SOURCES: tuple[Source, ...] = (
-    Source(
-        "robot_manual",
-        "the robot's manual: axis directions, zero pose, command interface, tool frame",
-        "declare them in an evidence file: pytest-twin audit FILE --evidence evidence.yaml",
-        (
-            "joints.sign_unknown",
-            "joints.sign_unclear",
-            "joints.zero_unknown",
-            "commands.unknown",
-            "frames.tool_unknown",
-        ),
-    ),
-    Source(
-        "drive_data_sheets",
-        "the data sheets of motors, gears and encoders: ratio, rotor inertia, encoder side",
-        "state armature (rotor inertia times ratio squared) and gear in the simulator's model",
-        (
-            "transmissions.unknown",
-            "transmissions.unit_reduction",
-            "controllers.sensors_unknown",
-            "controllers.no_state",
-        ),
-    ),
-    Source(
-        "friction_recording",
-        "a recording of slow reversals at several speeds, with efforts",
-        "fit damping and friction to it: pytest-twin diagnose MODEL RECORDING --out DIR",
-        ("joints.friction_unknown",),
-    ),
-    Source(
-        "controller_configuration",
-        "the configuration of the controller: gains, rates, filters, saturation",
-        "state the controller in twin.yaml, under `controllers:`",
-        ("controllers.unknown",),
-    ),
-    Source(
-        "mechanism_drawing",
-        "the drawing of the mechanism: passive joints, couplings, closed chains",
-        "state couplings and closed chains in the simulator's model",
-        (
-            "coupling.passive",
-            "coupling.mimic_force",
-            "coupling.differential",
-            "coupling.shared_joint",
-            "coupling.closed_chains",
-        ),
-    ),
-    Source(
-        "installation",
-        "the installation: how the base is mounted, and how level it is",
-        "measure the tilt of the base with a level, or fit it to gravity torques at three poses",
-        ("frames.mount_unknown",),
-    ),
-    Source(
-        "collision_goldens",
-        "collision goldens for the pairs of bodies that can meet",
-        "add goldens of kind collision_distance to the twin",
-        ("meshes.distances_unknown",),
-    ),
-    Source(
-        "corrected_file",
-        "a file without the critical findings",
-        "correct them and run the audit again",
-        ("*.not_looked_at",),
-    ),
-)
-"""Sources that resolve equally many findings are listed in this order."""
+@cache
+def sources() -> tuple[Source, ...]:
+    """Return every source of ``sources.toml``."""
+    table = tomllib.loads(resources.files(__package__).joinpath("sources.toml").read_text("utf-8"))
+    return tuple(Source(name, **fields) for name, fields in table.items())
 
 
 @cache
 def _by_code() -> Mapping[str, Source]:
-    return {code: source for source in SOURCES for code in source.codes}
+    return {code: source for source in sources() for code in source.codes}
 
 
 def source_of(code: str) -> Source | None:
@@ -125,7 +64,7 @@ def findings_by_source(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]
             "count": codes[source.name].total(),
             "codes": dict(codes[source.name]),
         }
-        for source in SOURCES
+        for source in sources()
         if source.name in codes
     ]
     return sorted(found, key=lambda one: -int(one["count"]))

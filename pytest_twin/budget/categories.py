@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 from pytest_twin.effects import catalogue
 
@@ -22,7 +25,7 @@ class Category:
     metric: str
     command: str
     next_test: str
-    goldens: tuple[str, ...] = ()
+    goldens: Sequence[str] = ()
 
     @property
     def words(self) -> str:
@@ -30,90 +33,12 @@ class Category:
         return self.id.replace("_", " ")
 
 
-_IDENTIFY = "pytest-twin identify MODEL RECORDING... --held-out RECORDING... --out DIR"
-_CALIBRATE = "pytest-twin calibrate PLAN.yaml --out DIR"
-_DIAGNOSE = "pytest-twin diagnose MODEL RECORDING... --out DIR"
+def _categories() -> tuple[Category, ...]:
+    text = resources.files(__package__).joinpath("categories.toml").read_text("utf-8")
+    return tuple(Category(name, **fields) for name, fields in tomllib.loads(text).items())
 
-CATEGORIES: tuple[Category, ...] = (
-    Category(
-        "asset_and_geometry",
-        "deviations of links from the drawing",
-        f"{_CALIBRATE}, with estimate: [geometry]",
-        "measure tool positions with a tracker over the whole workspace, and fit the geometry",
-        ("fk", "limits", "joint_direction"),
-    ),
-    Category(
-        "frame_calibration",
-        "joint zeros, base, tool and camera frames",
-        f"{_CALIBRATE}, with estimate: [joint_zeros, base_world, tcp, hand_eye]",
-        "add the poses that next_poses of the calibration names, and hold out a third of them",
-        ("calibration", "tcp_accuracy"),
-    ),
-    Category(
-        "timing",
-        "delays and offsets between clocks",
-        f"{_IDENTIFY} (stage delay), or {_CALIBRATE}, with streams: and estimate: [time_offset]",
-        "repeat one path at two speeds: a delay moves the tool in proportion to the speed",
-        ("replay", "sensor_timing"),
-    ),
-    Category(
-        "sensing",
-        "encoder zeros and scales, biases and couplings of other sensors",
-        f"{_IDENTIFY} (stage encoder; --sensor for force-torque sensors and IMUs)",
-        "hold each joint at both ends of its range and compare with an outside measurement",
-        ("replay",),
-    ),
-    Category(
-        "actuation",
-        "constant efforts and scales of the drives",
-        f"{_IDENTIFY} (stage drive)",
-        "repeat the recording with a known payload: it determines the scale of each drive",
-        ("step", "frequency_response"),
-    ),
-    Category(
-        "rigid_body_dynamics",
-        "base parameters: masses, first and second moments, armatures",
-        f"pytest-twin excite MODEL --out DIR, then {_IDENTIFY}",
-        "run the D-optimal motions of pytest-twin excite, and hold out one of them",
-        ("mass_properties", "identification"),
-    ),
-    Category(
-        "friction_and_transmission",
-        "viscous and Coulomb friction of the joints",
-        f"pytest-twin excite MODEL --out DIR, then {_IDENTIFY}",
-        "slow reversals and two constant speeds of each joint, cold and warm",
-        ("identification", "replay"),
-    ),
-    Category(
-        "compliance_and_backlash",
-        "elasticity and backlash between motor and link",
-        _DIAGNOSE,
-        "push the tool with the motors held, in both directions, and measure where it goes",
-        ("settling",),
-    ),
-    Category(
-        "contact_and_material",
-        "friction, stiffness and damping of contacts",
-        f"{_IDENTIFY} with tosses, or {_DIAGNOSE} with recordings that touch something",
-        "touch, press and slide at two speeds and two loads",
-        ("contact",),
-    ),
-    Category(
-        "environment_and_object",
-        "where fixtures and objects are",
-        f"{_CALIBRATE}, with estimate: [fixture]",
-        "measure the fixture again after it has been taken off and put back",
-        ("collision_distance",),
-    ),
-    Category(
-        "unmodelled",
-        "held-out error beyond what the uncertainty of the estimates explains",
-        f"{_CALIBRATE}, or {_IDENTIFY}, with recordings or observations held out",
-        f"{_DIAGNOSE}, on the held-out recordings",
-        ("replay", "task"),
-    ),
-)
 
+CATEGORIES = _categories()
 _OF_RECORD = {
     "base_world": "frame_calibration",
     "robot_world": "frame_calibration",

@@ -9,7 +9,7 @@ import pytest
 from audited import changed, findings_of, robots, write_clean
 
 from pytest_twin.audit.audit_file import audit_file
-from pytest_twin.audit.sources import SOURCES, source_of
+from pytest_twin.audit.sources import source_of, sources
 from pytest_twin.report.audit import table
 
 VAGUE = re.compile(r"\b(stands|told|settled by|as it came|gives way|beyond any number)\b")
@@ -52,7 +52,7 @@ def test_every_unknown_property_names_a_source_of_information(
 
 
 def test_every_finding_code_has_one_source() -> None:
-    codes = [code for source in SOURCES for code in source.codes]
+    codes = [code for source in sources() for code in source.codes]
     assert len(codes) == len(set(codes))
 
 

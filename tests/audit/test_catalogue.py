@@ -6,12 +6,14 @@ import re
 from pathlib import Path
 
 from pytest_twin import audit
+from pytest_twin.asset.urdf_elements import ENTRIES
 from pytest_twin.audit.finding import LAYERS, PLANNING, SEVERITIES, catalogue, finding_of
 
 
 def test_catalogue_and_code_name_the_same_findings() -> None:
     sources = [file.read_text() for file in Path(audit.__path__[0]).rglob("*.py")]
     made = {code for text in sources for code in re.findall(r'finding_of\(\s*"([\w.]+)"', text)}
+    made |= {entry.goes.code for entry in ENTRIES if entry.goes.code is not None}
     listed = {f"{layer}.{name}" for layer, names in catalogue().items() for name in names}
     assert made == listed
     assert set(catalogue()) <= {*LAYERS, PLANNING}
