@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from pytest_twin.units import Quantity
+
 Status = Literal["passed", "failed", "error"]
 
 
@@ -39,6 +41,33 @@ class Measure:
     unit: str
     against: str = "golden"
     time: float | None = None
+
+    @classmethod
+    def of_error(
+        cls,
+        name: str,
+        subject: str,
+        error: float,
+        bound: Quantity,
+        against: str = "golden",
+        time: float | None = None,
+    ) -> Measure:
+        """Build the measure of an error, which would be zero if all were as expected."""
+        return cls(name, subject, error, 0.0, error, bound.value, bound.unit, against, time)
+
+    @classmethod
+    def of_difference(
+        cls,
+        name: str,
+        subject: str,
+        values: tuple[float, float],
+        bound: Quantity,
+        against: str = "golden",
+    ) -> Measure:
+        """Build the measure of two values, measured and expected, by their difference."""
+        measured, expected = values
+        error = abs(measured - expected)
+        return cls(name, subject, measured, expected, error, bound.value, bound.unit, against)
 
     @property
     def passed(self) -> bool:

@@ -20,6 +20,7 @@ from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
 from pytest_twin.installed import entry_points_by_name
 from pytest_twin.twin import MODEL_SUFFIXES, USD_SUFFIXES, Simulator, Twin
+from pytest_twin.units import Quantity
 from pytest_twin.words import counted
 
 if TYPE_CHECKING:
@@ -142,13 +143,5 @@ def audit_spec(twin: Twin) -> dict[str, Any] | None:
 
 
 def _measure(sentence: str, count: int) -> Measure:
-    return Measure(
-        name="critical_findings",
-        subject=sentence,
-        measured=float(count),
-        golden=0.0,
-        error=float(count),
-        tolerance=0.0,
-        unit="1",
-        against="audit",
-    )
+    none_allowed = Quantity(0.0, "1")
+    return Measure.of_error("critical_findings", sentence, float(count), none_allowed, "audit")

@@ -28,6 +28,7 @@ from pytest_twin.checks.poses import (
 from pytest_twin.checks.schemas import array, table, text
 from pytest_twin.dependency import Structure
 from pytest_twin.golden import Golden
+from pytest_twin.units import Quantity
 
 if TYPE_CHECKING:
     import mujoco
@@ -222,15 +223,9 @@ class CollisionDistance(Check):
     ) -> Measure:
         overlap = measured < 0.0 or expected < 0.0
         name = "penetration" if overlap and "penetration" in golden.tolerance else "distance"
-        return Measure(
-            name=name,
-            subject=f"{pair} at {pose}",
-            measured=measured,
-            golden=expected,
-            error=abs(measured - expected),
-            tolerance=tolerance(golden, name, "every collision_distance golden bounds it"),
-            unit="m",
-            against=against,
+        bound = tolerance(golden, name, "every collision_distance golden bounds it")
+        return Measure.of_difference(
+            name, f"{pair} at {pose}", (measured, expected), bound, against
         )
 
 
@@ -256,29 +251,20 @@ def _reasons(golden: Golden, disabled: Mapping[str, str]) -> list[Measure]:
             declared.update(frozenset(pair) for pair in itertools.combinations(entry["among"], 2))
     found = {frozenset(pair.split(" - ")): (pair, why) for pair, why in disabled.items()}
     faults = [
-        (f"{pair}: {why}, and target.disabled gives no reason", 1.0, 0.0)
+        (f"{pair}: {why}, and target.disabled gives no reason", (1.0, 0.0))
         for key, (pair, why) in found.items()
         if key not in declared
     ]
     faults += [
-        (f"{' - '.join(entry['pair'])}: declared as disabled, but can collide", 0.0, 1.0)
+        (f"{' - '.join(entry['pair'])}: declared as disabled, but can collide", (0.0, 1.0))
         for entry in golden.target["disabled"]
         if "pair" in entry and frozenset(entry["pair"]) not in found
     ]
     if not faults:
-        faults = [("every disabled pair has its reason", 0.0, 0.0)]
+        faults = [("every disabled pair has its reason", (0.0, 0.0))]
     return [
-        Measure(
-            name="disabled",
-            subject=subject,
-            measured=measured,
-            golden=expected,
-            error=abs(measured - expected),
-            tolerance=0.0,
-            unit="1",
-            against="declared",
-        )
-        for subject, measured, expected in faults
+        Measure.of_difference("disabled", subject, values, Quantity(0.0, "1"), "declared")
+        for subject, values in faults
     ]
 
 

@@ -213,16 +213,11 @@ class Contact(Check):
             for name, error in errors.items():
                 bound = golden.tolerance.get(name)
                 if bound is not None:
-                    measures.append(
-                        Measure(
-                            name, f"{pair} at onset", error, 0.0, error, bound.value, bound.unit
-                        )
-                    )
+                    measures.append(Measure.of_error(name, f"{pair} at onset", error, bound))
         friction = values.get("friction")
         measures += declared_measure(
             golden,
             "declared_friction",
-            "1",
             float("nan") if friction is None else float(friction),
             pair if friction is not None else f"{pair}: {_UNDEFINED['friction']}",
             float(values["declared_friction"]),

@@ -116,7 +116,5 @@ def measures(golden: Golden, values: Mapping[str, Any]) -> list[Measure]:
         else:
             worst = max(errors, key=errors.__getitem__)
             subject, error = f"toss {worst} of {golden.target['recording']}", errors[worst]
-        found.append(
-            Measure(name, subject, error, 0.0, error, bound.value, bound.unit, against="recording")
-        )
+        found.append(Measure.of_error(name, subject, error, bound, "recording"))
     return found

@@ -10,7 +10,7 @@ from typing import Any
 from pytest_twin.checks.schemas import Schema, boolean, name_field
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
-from pytest_twin.units import parse_quantity
+from pytest_twin.units import Quantity, parse_quantity
 
 POSITION_UNIT: Mapping[str, str] = {"hinge": "rad", "slide": "m"}
 VELOCITY_UNIT: Mapping[str, str] = {"hinge": "rad/s", "slide": "m/s"}
@@ -91,7 +91,7 @@ def quantity(golden: Golden, field: str, value: object, unit: str) -> float:
         ) from None
 
 
-def tolerance(golden: Golden, name: str, why: str) -> float:
+def tolerance(golden: Golden, name: str, why: str) -> Quantity:
     """Return the golden's tolerance ``name``, in its SI unit.
 
     Raises:
@@ -105,4 +105,4 @@ def tolerance(golden: Golden, name: str, why: str) -> float:
             f"missing: {why}",
             expected="a number with its unit; write what the task allows",
         )
-    return stated.value
+    return stated

@@ -123,16 +123,7 @@ class ForwardKinematics(Check):
                     error = errors[pose][index]
                     bound = tolerance(golden, name, "every fk golden bounds it")
                     measures.append(
-                        Measure(
-                            name=name,
-                            subject=f"{frame} at {pose}",
-                            measured=error,
-                            golden=0.0,
-                            error=error,
-                            tolerance=bound,
-                            unit=self.tolerances[name],
-                            against=against,
-                        )
+                        Measure.of_error(name, f"{frame} at {pose}", error, bound, against)
                     )
         return measures
 

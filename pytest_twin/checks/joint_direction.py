@@ -165,15 +165,8 @@ class JointDirection(Check):
             motion = "rotation" if "rotation" in entry else "translation"
             error = direction_error(observation.values["direction"][joint], entry[motion])
             measures.append(
-                Measure(
-                    name="direction",
-                    subject=f"{joint}: {motion} of {entry['frame']}",
-                    measured=error,
-                    golden=0.0,
-                    error=error,
-                    tolerance=bound,
-                    unit="rad",
-                    against="declared",
+                Measure.of_error(
+                    "direction", f"{joint}: {motion} of {entry['frame']}", error, bound, "declared"
                 )
             )
             if joint in observation.values["command"]:
@@ -181,18 +174,8 @@ class JointDirection(Check):
                 sign = -1.0 if entry.get("command") == "negative" else 1.0
                 turned = float("nan") if not abs(added) > _STILL else 0.0
                 turned += np.pi if sign * added < 0.0 else 0.0
-                measures.append(
-                    Measure(
-                        name="direction",
-                        subject=f"{joint}: command of {entry['actuator']}",
-                        measured=turned,
-                        golden=0.0,
-                        error=turned,
-                        tolerance=bound,
-                        unit="rad",
-                        against="declared",
-                    )
-                )
+                subject = f"{joint}: command of {entry['actuator']}"
+                measures.append(Measure.of_error("direction", subject, turned, bound, "declared"))
         return measures
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:

@@ -362,16 +362,8 @@ def _measure(
     error: float,
 ) -> Measure:
     name = _TOLERANCE[family][kind]
-    return Measure(
-        name=name,
-        subject=subject,
-        measured=measured,
-        golden=bound,
-        error=error,
-        tolerance=tolerance(golden, name, f"{subject} is compared with it"),
-        unit=Limits.tolerances[name],
-        against="declared",
-    )
+    allowed = tolerance(golden, name, f"{subject} is compared with it")
+    return Measure(name, subject, measured, bound, error, allowed.value, allowed.unit, "declared")
 
 
 def _compare_range(

@@ -222,28 +222,12 @@ class MassProperties(Check):
         against: str,
     ) -> Measure:
         value = _NAN if expected is None else float(expected)
-        return Measure(
-            name=name,
-            subject=subject,
-            measured=measured,
-            golden=value,
-            error=abs(measured - value),
-            tolerance=tolerance(golden, name, f"the {name.replace('_', ' ')} of {subject}"),
-            unit=self.tolerances[name],
-            against=against,
-        )
+        bound = tolerance(golden, name, f"the {name.replace('_', ' ')} of {subject}")
+        return Measure.of_difference(name, subject, (measured, value), bound, against)
 
     def _offset(self, golden: Golden, subject: str, error: float, against: str) -> Measure:
-        return Measure(
-            name="center_of_mass",
-            subject=subject,
-            measured=error,
-            golden=0.0,
-            error=error,
-            tolerance=tolerance(golden, "center_of_mass", "every golden of this kind bounds it"),
-            unit="m",
-            against=against,
-        )
+        bound = tolerance(golden, "center_of_mass", "every golden of this kind bounds it")
+        return Measure.of_error("center_of_mass", subject, error, bound, against)
 
     def _center(
         self, golden: Golden, found: Mapping[str, Any], expected: Mapping[str, Any], against: str

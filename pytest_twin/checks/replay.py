@@ -493,14 +493,5 @@ def _tcp_measures(golden: Golden, values: Mapping[str, Any]) -> Iterator[Measure
     ):
         if name in golden.tolerance:
             error = values[quantity_name][number]
-            yield Measure(
-                name=name,
-                subject=values["frame"],
-                measured=error,
-                golden=0.0,
-                error=error,
-                tolerance=golden.tolerance[name].value,
-                unit=_TOLERANCES[name],
-                against="recording",
-                time=values[quantity_name]["at"],
-            )
+            time, bound = values[quantity_name]["at"], golden.tolerance[name]
+            yield Measure.of_error(name, values["frame"], error, bound, "recording", time)

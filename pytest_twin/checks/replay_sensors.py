@@ -13,6 +13,7 @@ from pytest_twin.checks.fields import known_name, quantity, spec_error, toleranc
 from pytest_twin.checks.schemas import mapping, table
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.golden import Golden
+from pytest_twin.units import Quantity
 
 if TYPE_CHECKING:
     from pytest_twin.open_loop import Replayed
@@ -104,19 +105,11 @@ def sensor_measures(golden: Golden, values: Mapping[str, Any]) -> Iterator[Measu
                     golden, where, f"no channel of {name} has this unit",
                     expected=" or ".join(units),
                 )  # fmt: skip
-            bound = quantity(golden, where, stated, units[tolerance])
+            bound = Quantity(quantity(golden, where, stated, units[tolerance]), units[tolerance])
             for axis, unit in one["unit"].items():
                 if unit == units[tolerance]:
-                    yield Measure(
-                        name=tolerance,
-                        subject=f"{name}, {axis}",
-                        measured=one["rms"][axis],
-                        golden=0.0,
-                        error=one["rms"][axis],
-                        tolerance=bound,
-                        unit=unit,
-                        against="recording",
-                    )
+                    subject, error = f"{name}, {axis}", one["rms"][axis]
+                    yield Measure.of_error(tolerance, subject, error, bound, "recording")
 
 
 def _motion(results: Sequence[Replayed]) -> JointSeries:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from pytest_twin.golden import Golden
 
 def scalar_measures(
     golden: Golden,
-    names: Mapping[str, str],
+    names: Iterable[str],
     measured: Mapping[str, Any],
     subject: str,
     *,
@@ -26,13 +26,13 @@ def scalar_measures(
     A metric that both lack is not reported. A metric that only one has fails with a reason.
 
     Args:
-        names: metric (key of tolerances and of expected values) -> SI unit.
+        names: metrics, which are keys of tolerances and of expected values.
         measured: metric -> number, or None if undefined.
         undefined: metric -> reason why it can be undefined, such as ``it never settles``.
     """
     measures = []
     expected = golden.expected or {}
-    for name, unit in names.items():
+    for name in names:
         bound = golden.tolerance.get(name)
         if bound is None or name not in expected:
             continue
@@ -45,39 +45,18 @@ def scalar_measures(
             words = f": undefined {'now' if now is None else 'in the golden'} ({why})"
         now = math.nan if now is None else float(now)
         then = math.nan if then is None else float(then)
-        measures.append(
-            Measure(
-                name=name,
-                subject=subject + words,
-                measured=now,
-                golden=then,
-                error=abs(now - then),
-                tolerance=bound.value,
-                unit=unit,
-            )
-        )
+        measures.append(Measure.of_difference(name, subject + words, (now, then), bound))
     return measures
 
 
 def declared_measure(
-    golden: Golden, name: str, unit: str, measured: float, subject: str, declared: float = 0.0
+    golden: Golden, name: str, measured: float, subject: str, declared: float = 0.0
 ) -> list[Measure]:
     """Compare a number with a declared one instead of a recorded one; empty without tolerance."""
     bound = golden.tolerance.get(name)
     if bound is None:
         return []
-    return [
-        Measure(
-            name=name,
-            subject=subject,
-            measured=measured,
-            golden=declared,
-            error=abs(measured - declared),
-            tolerance=bound.value,
-            unit=unit,
-            against="declared",
-        )
-    ]
+    return [Measure.of_difference(name, subject, (measured, declared), bound, "declared")]
 
 
 def sample_grid(duration: float, samples: int) -> FloatArray:

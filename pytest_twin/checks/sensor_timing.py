@@ -118,7 +118,7 @@ class SensorTiming(Check):
         then = 0.0 if golden.expected is None else float(golden.expected["lag"])
         names = " after ".join(one["topic"] for one in reversed(golden.target["streams"]))
         bound = golden.tolerance["lag"]
-        return [Measure("lag", names, lag, then, abs(lag - then), bound.value, bound.unit)]
+        return [Measure.of_difference("lag", names, (lag, then), bound)]
 
     def first(self, realization: Realization) -> list[Mapping[str, Any]]:
         """Propose nothing, because the robot does not determine the streams of a recording."""

@@ -188,19 +188,18 @@ class Settling(Check):
             measures += _compare_rest(golden, values, golden.expected)
             measures += scalar_measures(
                 golden,
-                {"settling_time": "s"},
+                ["settling_time"],
                 values,
                 "robot",
                 undefined={"settling_time": "it does not come to rest"},
             )
         measures += declared_measure(
-            golden, "energy_growth", "J", float(values["energy_growth"]), "robot"
+            golden, "energy_growth", float(values["energy_growth"]), "robot"
         )
         pair = values["deepest"]
         measures += declared_measure(
             golden,
             "penetration",
-            "m",
             float(values["penetration"]),
             "no contact" if pair is None else " and ".join(pair),
         )
@@ -266,14 +265,13 @@ def _compare_rest(golden: Golden, now: Mapping[str, Any], then: Mapping[str, Any
             continue
         for joint in sorted({*now[name], *then.get(name, {})}):
             found, stored = (float(v.get(name, {}).get(joint, math.nan)) for v in (now, then))
-            error = abs(found - stored)
-            measures.append(Measure(name, joint, found, stored, error, bound.value, bound.unit))
+            measures.append(Measure.of_difference(name, joint, (found, stored), bound))
     for joint in sorted({*now["pose"], *then.get("pose", {})}):
         errors = _pose_errors(now["pose"].get(joint, []), then.get("pose", {}).get(joint, []))
         for name, error in errors.items():
             bound = golden.tolerance.get(name)
             if bound is not None:
-                measures.append(Measure(name, joint, error, 0.0, error, bound.value, bound.unit))
+                measures.append(Measure.of_error(name, joint, error, bound))
     return measures
 
 

@@ -25,7 +25,7 @@ from pytest_twin.checks.task_modules import declared_modules, load_file
 from pytest_twin.dependency import Structure
 from pytest_twin.errors import SpecError
 from pytest_twin.golden import Golden
-from pytest_twin.units import SI_UNITS, parse_quantity
+from pytest_twin.units import SI_UNITS, Quantity, parse_quantity
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -148,7 +148,7 @@ class Task(Check):
             field = f"target.outputs.{name}.tolerance"
             unit = declared["unit"]
             try:
-                bound = parse_quantity(declared["tolerance"], (unit,)).value
+                bound = parse_quantity(declared["tolerance"], (unit,))
             except SpecError as error:
                 raise spec_error(
                     golden, field, error.problem, value=error.value, expected=error.expected
@@ -161,12 +161,12 @@ class Task(Check):
                     expected="pytest --twin-update",
                 )
             now, then = observation.values[name], expected[name]
-            measures += _output_measures(golden, name, now, then, bound, unit)
+            measures += _output_measures(golden, name, now, then, bound)
         return measures
 
 
 def _output_measures(
-    golden: Golden, name: str, now: Any, then: Any, bound: float, unit: str
+    golden: Golden, name: str, now: Any, then: Any, bound: Quantity
 ) -> Iterator[Measure]:
     as_list, was_list = isinstance(now, list), isinstance(then, list)
     if as_list != was_list or (as_list and len(now) != len(then)):
@@ -180,15 +180,8 @@ def _output_measures(
     function = golden.target["function"].rpartition(":")[2]
     pairs = zip(now, then, strict=True) if as_list else [(now, then)]
     for i, (measured, recorded) in enumerate(pairs):
-        yield Measure(
-            name=name,
-            subject=f"{function}[{i}]" if as_list else function,
-            measured=measured,
-            golden=float(recorded),
-            error=abs(measured - float(recorded)),
-            tolerance=bound,
-            unit=unit,
-        )
+        subject = f"{function}[{i}]" if as_list else function
+        yield Measure.of_difference(name, subject, (measured, float(recorded)), bound)
 
 
 def _refuse(golden: Golden, problem: str, value: str, outputs: Mapping[str, Any]) -> SpecError:

@@ -150,18 +150,7 @@ def _measures(
             of = f"{subject} over {len(each)} measurements (worst: {worst})"
         else:
             error, of = each[worst], f"{subject} at measurement {worst} (worst of {len(each)})"
-        measures.append(
-            Measure(
-                name=name,
-                subject=of,
-                measured=error,
-                golden=0.0,
-                error=error,
-                tolerance=bound.value,
-                unit=units[name],
-                against="measurement",
-            )
-        )
+        measures.append(Measure.of_error(name, of, error, bound, "measurement"))
     return measures
 
 
