@@ -9,6 +9,7 @@ from typing import Any
 from pytest_twin.errors import FormatError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
+from pytest_twin.formats.typed import FieldError
 
 Matrix = tuple[tuple[float, ...], ...]
 Z95 = 1.959964
@@ -39,6 +40,14 @@ def read_record(path: Path, expected: str) -> tuple[Any, bytes]:
 
 def unusable(path: Path, problem: object, expected: str) -> FormatError:
     """Return the error of a field that is missing, or that is not what the command writes."""
+    if isinstance(problem, FieldError):
+        return FormatError(
+            "a field is missing or unusable",
+            path=path,
+            where=problem.where,
+            value=problem.value,
+            expected=f"{problem.expected}, in {expected}, schema 1",
+        )
     return FormatError(
         f"a field is missing or unusable: {problem}", path=path, expected=f"{expected}, schema 1"
     )

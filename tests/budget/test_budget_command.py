@@ -110,7 +110,10 @@ def test_an_invalid_budget_section_is_refused_with_one_line(
         ([[-1e-6, 0.0], [0.0, 1e-6]], "its covariance has a negative eigenvalue"),
         ([[1e-6, 0.0]], "a field is missing or unusable: covariance: not 2 rows of 2 numbers"),
         ([[1e-6], [1e-6]], "a field is missing or unusable: covariance: not 2 rows of 2 numbers"),
-        ([[1e-6, "x"], [0.0, 1e-6]], "Expected `float`, got `str` - at `$.covariance[0][1]`"),
+        (
+            [[1e-6, "x"], [0.0, 1e-6]],
+            "covariance.0.1: a field is missing or unusable (got 'x'; expected a number",
+        ),
     ],
 )
 def test_an_invalid_covariance_is_refused(

@@ -94,7 +94,7 @@ def test_two_records_with_the_zero_of_the_same_joint_are_refused(tmp_path: Path)
         ({"schema": 2}, "a field is missing or unusable: 'schema'"),
         (
             {"records": {"joint_zeros": {"values": {"elbow": {"value": "x"}}}}},
-            "Expected `float`, got `str` - at `$.joint_zeros[...]`",
+            "joint_zeros.elbow: a field is missing or unusable (got 'x'; expected a number",
         ),
     ],
 )

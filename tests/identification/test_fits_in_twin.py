@@ -162,7 +162,7 @@ def test_a_superseded_record_is_not_applied(cell: Path) -> None:
         ({"fit": {"option": {}}}, "unusable: fit"),
         (
             {"fit": {"joint": {"elbow": {"damping": "x"}}}},
-            "got `str` - at `$.fit[...]",
+            "fit.joint.elbow.damping: a field is missing or unusable (got 'x'; expected a number",
         ),
         ({"schema": 2}, "a field is missing or unusable: 'schema'"),
     ],
