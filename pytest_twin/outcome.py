@@ -10,9 +10,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from pytest_twin.formats import typed
 from pytest_twin.units import Quantity
 
 Status = Literal["passed", "failed", "error"]
+_NUMBERS = ("measured", "golden", "error", "tolerance", "time")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,18 +100,8 @@ class Measure:
         Raises:
             TypeError, KeyError, ValueError: fields missing, unknown or of another type.
         """
-        time = fields["time"]
-        return cls(
-            name=str(fields["name"]),
-            subject=str(fields["subject"]),
-            measured=float(fields["measured"]),
-            golden=float(fields["golden"]),
-            error=float(fields["error"]),
-            tolerance=float(fields["tolerance"]),
-            unit=str(fields["unit"]),
-            against=str(fields["against"]),
-            time=None if time is None else float(time),
-        )
+        numbers = {name: float(fields[name]) for name in _NUMBERS if fields[name] is not None}
+        return typed.build({**fields, **numbers}, cls)
 
 
 @dataclass(frozen=True, slots=True)

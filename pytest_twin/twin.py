@@ -15,7 +15,7 @@ from typing import Any, Literal
 from pytest_twin.adaptation_spec import ResidualSpec, ShadowPolicy, UpdateSpec, digest_of
 from pytest_twin.budget_spec import BudgetSpec
 from pytest_twin.errors import SpecError
-from pytest_twin.formats import temporary, yaml
+from pytest_twin.formats import temporary, typed, yaml
 from pytest_twin.formats.calibration_record import CalibrationRecord, read_calibration_record
 from pytest_twin.formats.identification_record import (
     IdentificationRecord,
@@ -70,26 +70,11 @@ class _Section:
             if name.startswith(self.prefix)
         }
 
-    def error(
-        self,
-        where: str,
-        problem: str,
-        *,
-        value: object = None,
-        unit: str | None = None,
-        expected: str | None = None,
-    ) -> SpecError:
+    def error(self, where: str, problem: str, **details: Any) -> SpecError:
         """Return an error at a dotted field of this table, with its line."""
         where = self.prefix + where
-        return SpecError(
-            problem,
-            path=self.path,
-            line=_line(self.lines, where),
-            where=where,
-            value=value,
-            unit=unit,
-            expected=expected,
-        )
+        line = _line(self.lines, where)
+        return SpecError(problem, path=self.path, line=line, where=where, **details)
 
 
 @dataclass(frozen=True, slots=True)
@@ -521,18 +506,9 @@ class Twin:
         """Path of the file that records the promotion of a residual or update of this id."""
         return self.root / "shadow" / f"{ident}.json"
 
-    def error(
-        self,
-        where: str,
-        problem: str,
-        *,
-        value: object = None,
-        unit: str | None = None,
-        expected: str | None = None,
-    ) -> SpecError:
+    def error(self, where: str, problem: str, **details: Any) -> SpecError:
         """Return an error at a dotted field of ``twin.yaml``, with its line."""
-        section = _Section({}, self.path, "", self.lines)
-        return section.error(where, problem, value=value, unit=unit, expected=expected)
+        return _Section({}, self.path, "", self.lines).error(where, problem, **details)
 
 
 def model_suffixes() -> tuple[str, ...]:
@@ -601,7 +577,6 @@ class _Reader:
 
     def twin(self) -> Twin:
         data = self.data
-        release = data.get("release", {})
         entries = self._calibrations()
         tables, fits = self._fits()
         stated = self._calibration()
@@ -620,10 +595,10 @@ class _Reader:
             roots=self.named_roots,
             topics={**DEFAULT_TOPICS, **data.get("topics", {})},
             recordings=_recordings(data),
-            controllers={
-                name: {actuator: _patch(patch) for actuator, patch in (actuators or {}).items()}
-                for name, actuators in data.get("controllers", {}).items()
-            },
+            controllers=typed.build(
+                {name: actuators or {} for name, actuators in data.get("controllers", {}).items()},
+                dict[str, dict[str, Patch]],
+            ),
             payloads={
                 name: {body: _payload(added) for body, added in bodies.items()}
                 for name, bodies in data.get("payloads", {}).items()
@@ -643,14 +618,14 @@ class _Reader:
                 for entry in data.get("accepted_findings", ())
                 for finding in entry["findings"]
             },
-            release=ReleasePolicy(float(release.get("valid_days", ReleasePolicy().valid_days))),
+            release=typed.build(data.get("release", {}), ReleasePolicy),
             authority=self._authority(),
             residual=self._residual(),
             update=UpdateSpec.from_json(data["update"]) if "update" in data else None,
             shadow=ShadowPolicy.from_json(data.get("shadow", {})),
             budget=self._budget(),
             ranges=self._ranges(),
-            fresh=FreshPolicy(**{k: float(v) for k, v in data.get("fresh", {}).items()}),
+            fresh=typed.build(data.get("fresh", {}), FreshPolicy),
             excitation=data.get("excitation"),
             lines=self.lines,
         )
@@ -741,8 +716,7 @@ class _Reader:
                     value=name,
                     expected=", ".join(known),
                 )
-            matched = Affects(tuple(rule.get("kinds", ())), tuple(rule.get("goldens", ())))
-            found.append(Authority(name, matched))
+            found.append(Authority(name, typed.build(rule, Affects)))
         return tuple(found)
 
     def _table_of(self, key: str) -> _Section | None:
@@ -765,10 +739,7 @@ class _Reader:
         return Calibration(
             id=str(section.data["id"]),
             transform_world_to_base=None if base is None else _pose(base, section),
-            joints={
-                joint: JointCalibration(**{key: float(value) for key, value in d.items()})
-                for joint, d in section.data.get("joints", {}).items()
-            },
+            joints=typed.build(section.data.get("joints", {}), dict[str, JointCalibration]),
             path=section.path,
             lines=section.own_lines,
         )
@@ -981,9 +952,7 @@ class _Reader:
             id=None if ident is None else str(ident),
             value=value,
             file=None if file is None else self._file(file, f"parts.{name}.file"),
-            affects=None
-            if not affects
-            else Affects(**{key: tuple(names) for key, names in affects.items()}),
+            affects=typed.build(affects, Affects) if affects else None,
         )
 
 
@@ -1001,11 +970,11 @@ def _record_of_model(model: Path) -> ResultRecord | None:
 def _fit(section: _Section) -> Fit:
     return Fit(
         id=str(section.data["id"]),
-        patches={
-            family: {name: _patch(patch) for name, patch in section.data.get(family, {}).items()}
-            for family in FIT_FAMILIES
-        },
-        option=_patch(section.data.get("option", {})),
+        patches=typed.build(
+            {family: section.data.get(family, {}) for family in FIT_FAMILIES},
+            dict[str, dict[str, Patch]],
+        ),
+        option=typed.build(section.data.get("option", {}), dict[str, float | tuple[float, ...]]),
         path=section.path,
         lines=section.own_lines,
     )
@@ -1109,13 +1078,6 @@ def _line(lines: Mapping[str, int], where: str) -> int | None:
             return lines[where]
         where = where.rpartition(".")[0]
     return None
-
-
-def _patch(data: Mapping[str, Any]) -> Patch:
-    return {
-        name: tuple(float(v) for v in value) if isinstance(value, list) else float(value)
-        for name, value in data.items()
-    }
 
 
 def _payload(data: Mapping[str, Any]) -> Payload:

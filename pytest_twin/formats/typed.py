@@ -64,8 +64,9 @@ def _field_error(message: str, data: object, kind: type[Any]) -> FieldError:
 
     problem, _, place = message.partition(" - at `$")
     parts: list[str] = []
-    root = {"": copy.deepcopy(data)}
-    owner, key = root, ""
+    root: dict[Any, Any] = {"": copy.deepcopy(data)}
+    owner: Any = root
+    key: Any = ""
     for step in _STEP.finditer(place):
         here: Any = owner[key]
         name: Any = step[1]
@@ -81,8 +82,9 @@ def _field_error(message: str, data: object, kind: type[Any]) -> FieldError:
             name = int(step[2])
         owner, key = owner[key], name
         parts.append(str(name))
-    if missing := re.fullmatch(r"Object missing required field `(.+)`", problem):
-        return FieldError(".".join([*parts, missing[1]]), None, "this field")
+    if field := re.fullmatch(r"Object (missing required|contains unknown) field `(.+)`", problem):
+        expected = "this field" if field[1].startswith("missing") else "no field of this name"
+        return FieldError(".".join([*parts, field[2]]), None, expected)
     expected = re.sub(r", got `\w+`$", "", problem).removeprefix("Expected ")
     expected = re.sub(r"`([\w| ]+)`", _in_words, expected)
     if problem.startswith("Invalid enum value"):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
 
 from pytest_twin.dependency import Part, canonical
 from pytest_twin.errors import ReleaseError
+from pytest_twin.formats import typed
 from pytest_twin.outcome import Outcome
 from pytest_twin.release import canonical_json, file_names
 from pytest_twin.release.limits import LIMITS, ReleaseLimits
@@ -19,22 +21,8 @@ from pytest_twin.release.limits import LIMITS, ReleaseLimits
 STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE = "urn:pytest-twin:release:1"
 
-_SHA256 = re.compile(r"[0-9a-f]{64}")
-_SERIES = re.compile(r"[0-9a-f]{32}")
 _TIME = "%Y-%m-%dT%H:%M:%SZ"
-_PREDICATE_FIELDS = {
-    "twin",
-    "series",
-    "number",
-    "previous",
-    "created",
-    "expires",
-    "ids",
-    "parts",
-    "goldens",
-    "environment",
-    "external",
-}
+_Sha256 = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,28 +249,103 @@ def read(payload: bytes, key_id: str, sha256: str, limits: ReleaseLimits = LIMIT
     """
     statement = canonical_json.load(payload, "the statement", limits)
     try:
-        return _read(statement, key_id, sha256, limits)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ReleaseError(f"the statement is not a release: {error!r}") from None
+        return _release(typed.build(statement, _Statement), key_id, sha256, limits)
+    except typed.FieldError as error:
+        raise ReleaseError(
+            "not what a release states",
+            where=error.where or "statement",
+            value=error.value,
+            expected=error.expected,
+        ) from None
 
 
-def _read(statement: Any, key_id: str, sha256: str, limits: ReleaseLimits) -> Release:
-    _require_fields(statement, {"_type", "subject", "predicateType", "predicate"}, "statement")
-    _require_equal(statement["_type"], STATEMENT_TYPE, "_type")
-    _require_equal(statement["predicateType"], PREDICATE_TYPE, "predicateType")
-    predicate = statement["predicate"]
-    _require_fields(predicate, _PREDICATE_FIELDS, "predicate")
-    header = _read_header(predicate, key_id)
-    files = tuple(_read_descriptor(entry) for entry in statement["subject"])
+class _Table(Struct, forbid_unknown_fields=True):
+    """A table of the statement, with no other fields than those below."""
+
+
+class _Digest(_Table):
+    sha256: _Sha256
+
+
+class _Annotations(_Table):
+    size: Annotated[int, Meta(ge=0)]
+    original: str | None = None
+
+
+class _Descriptor(_Table):
+    """The in-toto ResourceDescriptor of a file."""
+
+    name: str
+    digest: _Digest
+    annotations: _Annotations
+
+    def entry(self) -> FileEntry:
+        annotations = self.annotations
+        return FileEntry(self.name, self.digest.sha256, annotations.size, annotations.original)
+
+
+class _Part(_Table):
+    digest: str
+    content: dict[str, Any]
+
+
+class _Proof(_Table):
+    outcome: dict[str, Any]
+    title: str
+    parts: tuple[str, ...]
+    release: int
+    at: str
+
+    def proof(self) -> Proof:
+        moment(self.at)
+        outcome = Outcome.from_json({**self.outcome, "plot": None})
+        return Proof(outcome, self.title, self.parts, self.release, self.at)
+
+
+class _Previous(_Table):
+    number: Annotated[int, Meta(ge=1)]
+    sha256: _Sha256
+
+
+class _Predicate(_Table):
+    twin: str
+    series: Annotated[str, Meta(pattern=r"^[0-9a-f]{32}\Z")]
+    number: Annotated[int, Meta(ge=1)]
+    previous: _Previous | None
+    created: str
+    expires: str
+    ids: dict[str, Any]
+    parts: dict[str, _Part]
+    goldens: list[_Proof]
+    environment: dict[str, str]
+    external: list[_Descriptor]
+
+
+class _Statement(_Table, rename={"kind": "_type", "predicate_type": "predicateType"}):
+    kind: str
+    subject: list[_Descriptor]
+    predicate_type: str
+    predicate: _Predicate
+
+
+def _release(stated: _Statement, key_id: str, sha256: str, limits: ReleaseLimits) -> Release:
+    _require_equal(stated.kind, STATEMENT_TYPE, "_type")
+    _require_equal(stated.predicate_type, PREDICATE_TYPE, "predicateType")
+    predicate = stated.predicate
+    header = _header(predicate, key_id)
+    files = tuple(entry.entry() for entry in stated.subject)
     _check_files(files, limits)
-    parts = {}
-    for ident, fields in predicate["parts"].items():
-        _require_fields(fields, {"digest", "content"}, f"parts.{ident}")
-        parts[ident] = Part(ident, fields["content"])
-        _require_equal(fields["digest"], parts[ident].digest, f"parts.{ident}.digest")
-    goldens = {}
-    for fields in predicate["goldens"]:
-        proof = _read_proof(fields)
+    parts = {ident: Part(ident, part.content) for ident, part in predicate.parts.items()}
+    for ident, part in predicate.parts.items():
+        _require_equal(part.digest, parts[ident].digest, f"parts.{ident}.digest")
+    goldens: dict[str, Proof] = {}
+    for at, golden in enumerate(predicate.goldens):
+        try:
+            proof = golden.proof()
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ReleaseError(
+                f"the statement is not a release: {error!r}", where=f"predicate.goldens.{at}"
+            ) from None
         if proof.outcome.key in goldens:
             raise ReleaseError(
                 "the release states this golden twice", where=proof.outcome.key, expected="once"
@@ -294,71 +357,42 @@ def _read(statement: Any, key_id: str, sha256: str, limits: ReleaseLimits) -> Re
                 expected="its own parts, and a release up to this one",
             )
         goldens[proof.outcome.key] = proof
-    if not isinstance(predicate["ids"], dict):
-        raise TypeError("ids is not a table")
     return Release(
         header=header,
-        ids=predicate["ids"],
+        ids=predicate.ids,
         parts=parts,
         goldens=goldens,
-        environment={str(k): str(v) for k, v in predicate["environment"].items()},
+        environment=predicate.environment,
         files=files,
-        external=tuple(_read_descriptor(entry) for entry in predicate["external"]),
+        external=tuple(entry.entry() for entry in predicate.external),
         sha256=sha256,
     )
 
 
-def _read_header(predicate: Mapping[str, Any], key_id: str) -> Header:
-    number, previous = predicate["number"], predicate["previous"]
-    if type(number) is not int or number < 1:
-        raise ReleaseError("not a release number", value=number, expected="1 or more")
-    if not isinstance(predicate["twin"], str) or not _SERIES.fullmatch(predicate["series"]):
+def _header(predicate: _Predicate, key_id: str) -> Header:
+    number, previous = predicate.number, predicate.previous
+    if previous is not None and previous.number >= number:
         raise ReleaseError(
-            "the statement names no twin or no series of releases",
-            where="predicate",
-            expected="twin, a text, and series, 32 hex digits",
+            "not a release before this one",
+            where="previous.number",
+            value=previous.number,
+            expected=f"1 to {number - 1}",
         )
-    if previous is not None:
-        _require_fields(previous, {"number", "sha256"}, "previous")
-        if type(previous["number"]) is not int or not 1 <= previous["number"] < number:
-            raise ReleaseError(
-                "not a release before this one",
-                where="previous.number",
-                value=previous["number"],
-                expected=f"1 to {number - 1}",
-            )
-        previous = Previous(previous["number"], _require_sha256(previous["sha256"]))
-    if moment(predicate["expires"]) <= moment(predicate["created"]):
+    if moment(predicate.expires) <= moment(predicate.created):
         raise ReleaseError(
             "expires before its creation",
             where="expires",
-            value=predicate["expires"],
-            expected=f"later than {predicate['created']}",
+            value=predicate.expires,
+            expected=f"later than {predicate.created}",
         )
     return Header(
-        twin=predicate["twin"],
-        series=predicate["series"],
+        twin=predicate.twin,
+        series=predicate.series,
         number=number,
-        previous=previous,
-        created=predicate["created"],
-        expires=predicate["expires"],
+        previous=None if previous is None else Previous(previous.number, previous.sha256),
+        created=predicate.created,
+        expires=predicate.expires,
         key_id=key_id,
-    )
-
-
-def _read_proof(fields: Mapping[str, Any]) -> Proof:
-    _require_fields(fields, {"outcome", "title", "parts", "release", "at"}, "goldens")
-    outcome = dict(fields["outcome"]) | {"plot": None}
-    measures = [dict(measure) for measure in outcome["measures"]]
-    for measure in measures:
-        del measure["margin"]
-    moment(fields["at"])
-    return Proof(
-        outcome=Outcome.from_json(outcome | {"measures": measures}),
-        title=str(fields["title"]),
-        parts=tuple(str(ident) for ident in fields["parts"]),
-        release=int(fields["release"]),
-        at=fields["at"],
     )
 
 
@@ -389,48 +423,14 @@ def _name(entry: FileEntry) -> str:
 
 
 def _descriptor(entry: FileEntry) -> dict[str, Any]:
-    """The in-toto ResourceDescriptor of a file."""
-    annotations: dict[str, Any] = {"size": entry.size}
-    if entry.original is not None:
-        annotations["original"] = entry.original
+    original = {} if entry.original is None else {"original": entry.original}
     return {
         "name": entry.name,
         "digest": {"sha256": entry.sha256},
-        "annotations": annotations,
+        "annotations": {"size": entry.size, **original},
     }
-
-
-def _read_descriptor(fields: Any) -> FileEntry:
-    _require_fields(fields, {"name", "digest", "annotations"}, "file")
-    _require_fields(fields["digest"], {"sha256"}, "file.digest")
-    annotations = dict(fields["annotations"])
-    original = annotations.pop("original", None)
-    _require_fields(annotations, {"size"}, "file.annotations")
-    size = annotations["size"]
-    if not isinstance(fields["name"], str) or type(size) is not int or size < 0:
-        raise TypeError("a file without name or size")
-    if original is not None and not isinstance(original, str):
-        raise TypeError("an original path that is no text")
-    return FileEntry(fields["name"], _require_sha256(fields["digest"]["sha256"]), size, original)
-
-
-def _require_fields(table: Any, expected: set[str], where: str) -> None:
-    if not isinstance(table, dict) or set(table) != expected:
-        found = sorted(table) if isinstance(table, dict) else type(table).__name__
-        raise ReleaseError(
-            "not the fields of a release",
-            where=where,
-            value=found,
-            expected=", ".join(sorted(expected)),
-        )
 
 
 def _require_equal(value: object, expected: str, where: str) -> None:
     if value != expected:
         raise ReleaseError("not what a release states", where=where, value=value, expected=expected)
-
-
-def _require_sha256(value: object) -> str:
-    if not isinstance(value, str) or not _SHA256.fullmatch(value):
-        raise ReleaseError("not a SHA-256", value=value, expected="64 hex digits")
-    return value
