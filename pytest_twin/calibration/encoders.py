@@ -13,6 +13,7 @@ from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.observations import SIDES, Observations
 from pytest_twin.calibration.plan import Plan
+from pytest_twin.calibration.records import estimate_entry
 from pytest_twin.realization.serial_chain import SerialChain
 
 ENCODERS = "encoder_repeatability"
@@ -45,13 +46,8 @@ class _PooledSpread:
             unit: unit of the value.
         """
         std = self.std * np.sqrt(variances)
-        width = float(stats.t.ppf(0.5 + _LEVEL / 2.0, self.degrees)) * std
-        return {
-            "value": value,
-            "unit": unit,
-            "std": float(std),
-            "ci95": [value - width, value + width],
-        }
+        quantile = float(stats.t.ppf(0.5 + _LEVEL / 2.0, self.degrees))
+        return estimate_entry(value, unit, float(std), quantile)
 
     def repeatability(self, unit: str) -> dict[str, Any]:
         """Return the record of the standard deviation with its chi-squared interval."""

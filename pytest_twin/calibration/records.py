@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -187,24 +187,54 @@ def _pose_record(
     if record in INVERTED_RECORDS:
         pose, covariance = inverse_with_covariance(pose, covariance)
     parent, child = _frames(found, name, record)
-    spread = found.quantile * np.sqrt(np.diag(covariance))
+    return pose_entry((parent, child), pose, covariance, found.quantile, asked=asked)
+
+
+def pose_entry(
+    frames: tuple[str, str],
+    pose: FloatArray,
+    covariance: FloatArray,
+    quantile: float,
+    *,
+    asked: bool,
+) -> dict[str, Any]:
+    """Return the record of a pose: transform, covariance and 95 % intervals.
+
+    Args:
+        frames: parent and child frame.
+        covariance: (6, 6) of x y z and rx ry rz.
+        quantile: half width of a 95 % interval in standard deviations.
+        asked: whether the plan asks for it.
+    """
     middle = [*pose[:3, 3], 0.0, 0.0, 0.0]
-    made: dict[str, Any] = {
-        "parent": parent,
-        "child": child,
+    return {
+        "parent": frames[0],
+        "child": frames[1],
         "transform": _transform(pose),
         "covariance": covariance.tolist(),
         "covariance_of": list(POSE_LABELS),
         "perturbation": "x y z along the parent's axes [m]; rx ry rz a rotation vector about the "
         "child's axes [rad]: R exp(r), so that its intervals are about 0",
-        "ci95": {
-            label: [float(value - width), float(value + width)]
-            for label, value, width in zip(POSE_LABELS, middle, spread, strict=True)
-        },
+        "ci95": dict(zip(POSE_LABELS, intervals(middle, covariance, quantile), strict=True)),
+        **({} if asked else {"asked": False}),
     }
-    if not asked:
-        made["asked"] = False
-    return made
+
+
+def intervals(
+    values: Iterable[float], covariance: FloatArray, quantile: float
+) -> list[list[float]]:
+    """Return the 95 % interval of each value."""
+    spread = quantile * np.sqrt(np.diag(covariance))
+    return [
+        [float(value - width), float(value + width)]
+        for value, width in zip(values, spread, strict=True)
+    ]
+
+
+def estimate_entry(value: float, unit: str, std: float, quantile: float) -> dict[str, Any]:
+    """Return the entry of one estimated number, with its 95 % interval."""
+    width = quantile * std
+    return {"value": value, "unit": unit, "std": std, "ci95": [value - width, value + width]}
 
 
 def inverse_with_covariance(
@@ -230,7 +260,6 @@ def _points(found: CalibrationEstimate) -> dict[str, Any]:
         place = layout.blocks[f"point:{tip}"]
         xyz = found.fit.state.points[tip]
         covariance = found.covariance[place, place]
-        spread = found.quantile * np.sqrt(np.diag(covariance))
         made["tcp"] = {
             "parent": problem.plan.flange,
             "child": "tcp",
@@ -240,10 +269,7 @@ def _points(found: CalibrationEstimate) -> dict[str, Any]:
             "in the tool (target: {kind: points, points: ...})",
             "covariance": covariance.tolist(),
             "covariance_of": ["x", "y", "z"],
-            "ci95": {
-                axis: [float(value - width), float(value + width)]
-                for axis, value, width in zip("xyz", xyz, spread, strict=True)
-            },
+            "ci95": dict(zip("xyz", intervals(xyz, covariance, found.quantile), strict=True)),
         }
     values = {}
     for name in layout.points:
@@ -252,14 +278,13 @@ def _points(found: CalibrationEstimate) -> dict[str, Any]:
             continue
         xyz = found.fit.state.points[name]
         covariance = found.covariance[place, place]
-        spread = found.quantile * np.sqrt(np.diag(covariance))
         base = "base" if problem.chain is None else problem.chain.base
         values[marker_of(name)] = {
             "parent": base if name.startswith(PIVOT) else problem.plan.flange,
             "xyz": xyz.tolist(),
             "unit": "m",
             "covariance": covariance.tolist(),
-            "ci95": [[float(v - w), float(v + w)] for v, w in zip(xyz, spread, strict=True)],
+            "ci95": intervals(xyz, covariance, found.quantile),
         }
     if values:
         made["points"] = {"values": values, "asked": False}
@@ -283,13 +308,8 @@ def _zeros(found: CalibrationEstimate) -> dict[str, Any]:
         joint = layout.zeros[at - place.start]
         # The sum includes the offset that twin.yaml already adds to the reading.
         value = float(found.fit.state.zeros[joint] + chain.offsets[joint])
-        width = found.quantile * spread
-        values[layout.joints[joint]] = {
-            "value": value,
-            "unit": layout.parameters[at].unit,
-            "std": spread,
-            "ci95": [value - width, value + width],
-        }
+        unit = layout.parameters[at].unit
+        values[layout.joints[joint]] = estimate_entry(value, unit, spread, found.quantile)
     if not values:
         return {}
     columns = [at for at, _ in kept]
@@ -317,12 +337,8 @@ def scale_record(value: float, std: float, quantile: float, prior: float | None)
         prior: standard deviation of the target's size relative to the stated one; None if the scale
             has no prior.
     """
-    width = quantile * std
     made = {
-        "value": value,
-        "unit": "1",
-        "std": std,
-        "ci95": [value - width, value + width],
+        **estimate_entry(value, "1", std, quantile),
         "meaning": "position in camera_from_target = value * position in m",
     }
     if prior is not None:
@@ -350,13 +366,9 @@ def _geometry(found: CalibrationEstimate) -> dict[str, Any]:
         link = layout.links[at - place.start]
         parameter = layout.parameters[at]
         value = float(found.fit.state.links[at - place.start])
-        width = found.quantile * spread
         prior = float(parameter.prior or np.inf)
         values[link.label] = {
-            "value": value,
-            "unit": parameter.unit,
-            "std": spread,
-            "ci95": [value - width, value + width],
+            **estimate_entry(value, parameter.unit, spread, found.quantile),
             "joint": layout.joints[link.joint],
             "kind": "rotation" if link.is_rotation else "translation",
             "direction": link.direction.tolist(),

@@ -16,7 +16,7 @@ from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.intrinsics import NAMES, Intrinsics
 from pytest_twin.calibration.cameras.normal_equations import Unknowns
 from pytest_twin.calibration.problem import predicted_poses
-from pytest_twin.calibration.records import CalibrationEstimate
+from pytest_twin.calibration.records import CalibrationEstimate, estimate_entry
 from pytest_twin.calibration.terms import PoseTerm
 from pytest_twin.calibration.wrong_scale import FreeScale
 
@@ -129,12 +129,8 @@ def intrinsics_record(camera: Camera, quantile: float = 1.96) -> dict[str, Any]:
     values = {}
     for name, std in zip(camera.free, spread, strict=True):
         value = float(vector[NAMES.index(name)])
-        values[name] = {
-            "value": value,
-            "unit": "px" if name in ("fx", "fy", "cx", "cy") else "1",
-            "std": float(std),
-            "ci95": [value - quantile * float(std), value + quantile * float(std)],
-        }
+        unit = "px" if name in ("fx", "fy", "cx", "cy") else "1"
+        values[name] = estimate_entry(value, unit, float(std), quantile)
     return {
         "values": values,
         "distortion_model": "opencv: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4",

@@ -29,18 +29,20 @@ from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.stream_mistakes import mistakes_of_streams
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.calibration.parameters import POSE_LABELS
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, describe_pose, records_of
 from pytest_twin.calibration.records import (
     TARGET_SCALE,
+    estimate_entry,
     inverse_with_covariance,
+    pose_entry,
     scale_record,
     size_note,
 )
 from pytest_twin.calibration.residual_errors import acceptance_failures, regions_of
 from pytest_twin.calibration.residual_patterns import pattern_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
-from pytest_twin.metrics.pose import quaternion_of
 
 MOST_POSITION_SPREAD_M = 0.05
 """Standard deviation of a transform's position above which it is not determined."""
@@ -53,7 +55,6 @@ _STRETCHES = 12
 """Number of consecutive parts of the streams, from which the held-out ones are drawn."""
 _MOST_POSES = 100
 """Largest number of poses for which errors are listed."""
-_LABELS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
@@ -322,13 +323,10 @@ def _drift(drifting: ClockFit, fit: ClockFit, camera: PoseStream) -> dict[str, A
 def _records(
     plan: Plan, fit: ClockFit, drift: dict[str, Any], found: SpeedCorrelation
 ) -> dict[str, Any]:
-    width = fit.interval(0)
+    std = float(np.sqrt(fit.covariance[0, 0]))
     records: dict[str, Any] = {
         "time_offset": {
-            "value": fit.offset,
-            "unit": "s",
-            "std": float(np.sqrt(fit.covariance[0, 0])),
-            "ci95": [fit.offset - width, fit.offset + width],
+            **estimate_entry(fit.offset, "s", std, float(fit.quantile[0])),
             "correlation": found.correlation,
             "from_correlation_alone": found.offset,
             "meaning": "time of the hand's clock = stamp of the camera's clock + value",
@@ -357,7 +355,7 @@ def _joint_covariance(plan: Plan, fit: ClockFit) -> dict[str, Any]:
     of_records = [0, *of_poses, *([SCALE] if plan.target_tolerance > 0.0 else [])]
     turn = np.eye(len(of_records))
     turn[1:7, 1:7], turn[7:13, 7:13] = (_about_child(pose) for _, pose in around.values())
-    names = [f"pose:camera.{role}.{label}" for role in around for label in _LABELS]
+    names = [f"pose:camera.{role}.{label}" for role in around for label in POSE_LABELS]
     names += ["scale.camera"] * (len(of_records) - 13)
     matrix = turn @ fit.covariance[np.ix_(of_records, of_records)] @ turn.T
     return {"of": ["time_offset", *names], "matrix": matrix.tolist()}
@@ -385,24 +383,9 @@ def _pose(
     if name in INVERTED_RECORDS:
         pose, covariance = inverse_with_covariance(pose, covariance)
         parent, child = "world", parent
-    middle = [*pose[:3, 3], 0.0, 0.0, 0.0]
     # The axes are rotated, so the widest of the quantiles is used for each of them.
-    width = fit.quantile[place].max() * np.sqrt(np.diag(covariance))
-    return {
-        "parent": parent,
-        "child": child,
-        **({} if asked else {"asked": False}),
-        "transform": {
-            "xyz": pose[:3, 3].tolist(),
-            "quaternion_wxyz": quaternion_of(pose[:3, :3]).tolist(),
-        },
-        "covariance": covariance.tolist(),
-        "covariance_of": list(_LABELS),
-        "ci95": {
-            label: [float(m - w), float(m + w)]
-            for label, m, w in zip(_LABELS, middle, width, strict=True)
-        },
-    }
+    quantile = float(fit.quantile[place].max())
+    return pose_entry((parent, child), pose, covariance, quantile, asked=asked)
 
 
 def _regions(
