@@ -111,7 +111,8 @@ FIELDS_OF_LAYER: dict[str, frozenset[str]] = {
 """Layer -> fields of ``mjModel`` in its parts."""
 
 # Computed by the compiler from fields of the layers: bounding volumes, sparse layouts, hashes of
-# the layout, and addresses and counts of elements whose content is in a layer.
+# the layout, and addresses and counts of elements whose content is in a layer. Some fields of
+# edges and vertices existed before MuJoCo 4 only, and some of flex before 3.15.
 DERIVED = _fields(
     """
     flexedge_: J_rowadr J_rownnz length0 invweight0 rigid J_colind
