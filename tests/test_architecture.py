@@ -167,3 +167,31 @@ def _names_of(module: Path) -> set[str]:
         elif isinstance(node, ast.Import | ast.ImportFrom):
             names |= {alias.asname or alias.name for alias in node.names}
     return names
+
+
+OTHER_MEANINGS = {
+    "payload": "key of a trial's metadata and of twin.yaml; mechanism of excite",
+    "armature": "attribute of an MJCF joint",
+    "backlash": "mechanism of excite in twin.yaml",
+    "clock_drift": "key of a calibration record",
+}
+"""Words that are an effect's id and also something else."""
+
+
+def test_no_module_outside_the_effects_lists_an_effect_by_its_id() -> None:
+    """A law of another package is in no list: commands treat an effect by its traits alone."""
+    with (PROJECT / "pyproject.toml").open("rb") as file:
+        points = tomllib.load(file)["project"]["entry-points"]["pytest_twin.effects"]
+    package = PROJECT / "pytest_twin"
+    # Files that users get import nothing of pytest-twin.
+    standalone = package / "ranges" / "written"
+    found = [
+        f"{path.relative_to(package)}:{node.lineno} {node.value}"
+        for path in sorted(package.rglob("*.py"))
+        if not path.is_relative_to(package / "effects") and not path.is_relative_to(standalone)
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and node.value in points.keys() - OTHER_MEANINGS.keys()
+    ]
+    assert found == []

@@ -8,35 +8,19 @@ bounds. Each window is predicted before its own measurements update anything.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import mujoco
 import numpy as np
 
+from pytest_twin.adaptation.updated_parameters import predicted_positions
 from pytest_twin.adaptation_spec import UpdateSpec
 from pytest_twin.arrays import FloatArray
-from pytest_twin.errors import SpecError
-from pytest_twin.open_loop import Row, replay_rows
-from pytest_twin.realization.inputs import JOINT_TRANSMISSIONS
-from pytest_twin.realization.patch import suggest
+from pytest_twin.open_loop import Row
+from pytest_twin.realization import Realization
 from pytest_twin.time_limit import skips
 from pytest_twin.trial import Trial
 
-_FIELDS = {
-    "viscous_friction": "dof_damping",
-    "coulomb_friction": "dof_frictionloss",
-    "armature": "dof_armature",
-}
-_TORQUE_CONSTANT = "torque_constant"
-"""Relative error of a drive's effort, as in the effect of this name: 0.1 for 10 % more."""
-_DRIVE_FIELDS = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
-_LINEAR = (
-    frozenset({int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)}),
-    frozenset({int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)}),
-)
-"""Types of gain and bias whose effort is proportional to their parameters."""
 _INDEPENDENT = 10.0
 """Number of independent samples per window and joint. Neighbouring samples share the model
 error."""
@@ -162,30 +146,12 @@ class Recursion:
         self.has_fallback = bool(now[1] > _WORSE * now[0])
 
 
-def base_parameters(spec: UpdateSpec, model: mujoco.MjModel) -> FloatArray:
-    """(p,) parameters of a model, SI units at the joint.
-
-    Raises:
-        SpecError: the model lacks a joint, or a value is outside its bounds.
-    """
-    found = []
-    for name, (low, high) in spec.parameters.items():
-        value = _value(model, name)
-        least = -1.0 if name.endswith(f".{_TORQUE_CONSTANT}") else -np.inf
-        if not least < low <= value <= high:
-            raise SpecError(
-                "the base model's value lies outside the bounds of the update",
-                where=f"update.parameters.{name}",
-                value=value,
-                expected=f"bounds around it, not {low:g} to {high:g}"
-                + (", and above -1" if low <= least else ""),
-            )
-        found.append(value)
-    return np.array(found)
-
-
 def track(
-    recursion: Recursion, rows: Sequence[Row], *, disturb: Disturb | None = None
+    recursion: Recursion,
+    rows: Sequence[Row],
+    *,
+    disturb: Disturb | None = None,
+    base: Realization | None = None,
 ) -> list[Window]:
     """Predict and update the windows of trials in order of time, until the run must end.
 
@@ -193,6 +159,7 @@ def track(
         recursion: state of the estimation, which is changed in place.
         rows: trials with the base model and their controllers.
         disturb: fault of the sensors, or None.
+        base: the base model; needed where effects beside its MJCF act or are updated.
     """
     found: list[Window] = []
     for row in rows:
@@ -206,11 +173,13 @@ def track(
             if seen is None:
                 recursion.restart()
                 seen = true
-            found.append(_window(recursion, replace(row, trial=seen), true, start))
+            found.append(_window(recursion, replace(row, trial=seen), true, start, base))
     return found
 
 
-def _window(recursion: Recursion, row: Row, true: Trial, start: float) -> Window:
+def _window(
+    recursion: Recursion, row: Row, true: Trial, start: float, base: Realization | None
+) -> Window:
     seen = row.trial
     if not np.isfinite(seen.position[0]).all():
         # Without an initial state the window is predicted from the undisturbed one, and not used.
@@ -224,13 +193,7 @@ def _window(recursion: Recursion, row: Row, true: Trial, start: float) -> Window
         moved = recursion.value.copy()
         moved[i] += step if moved[i] + step <= high[i] else -step
         values.append(moved)
-    names = list(recursion.spec.parameters)
-    predicted = [
-        one.position
-        for one in replay_rows(
-            [replace(row, model=_with(row.model, names, value)) for value in values], threads=1
-        )
-    ]
+    predicted = predicted_positions(row, list(recursion.spec.parameters), values, base)
     base_rms, used_rms = (
         float(np.sqrt(np.nanmean(np.square(p - true.position)))) for p in predicted[:2]
     )
@@ -299,64 +262,3 @@ def _speed(trial: Trial, row: int) -> FloatArray:
         return np.zeros(len(trial.joints))
     slope: FloatArray = np.polyfit(time - time[-1], position, 1)[0]
     return slope
-
-
-def _value(model: mujoco.MjModel, name: str) -> float:
-    """Return a parameter of a model, SI units at the joint.
-
-    Raises:
-        SpecError: the model lacks the joint, or its drive has no torque constant.
-    """
-    joint, parameter = _place(name, model)
-    if parameter == _TORQUE_CONSTANT:
-        _drives(model, name, joint)
-        return 0.0
-    return float(getattr(model, _FIELDS[parameter])[model.jnt_dofadr[joint]])
-
-
-def _place(name: str, model: mujoco.MjModel) -> tuple[int, str]:
-    """Return the index of the joint, and the name of the parameter."""
-    joint, _, parameter = name.rpartition(".")
-    index = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint))
-    if index < 0:
-        raise SpecError(
-            "no such joint", where=f"update.parameters.{name}", value=joint,
-            expected=suggest(joint, [model.joint(k).name for k in range(model.njnt)]),
-        )  # fmt: skip
-    return index, parameter
-
-
-def _drives(model: mujoco.MjModel, name: str, joint: int) -> list[int]:
-    """Return the actuators of a joint; all efforts of each are proportional to its gains."""
-    gains, biases = _LINEAR
-    found = [
-        actuator
-        for actuator in range(model.nactuator)
-        if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS
-        and int(model.actuator_trnid[actuator, 0]) == joint
-    ]
-    linear = all(
-        int(model.actuator_gaintype[one]) in gains and int(model.actuator_biastype[one]) in biases
-        for one in found
-    )
-    if not found or not linear:
-        raise SpecError(
-            "no drive with a torque constant",
-            where=f"update.parameters.{name}",
-            value=str(model.joint(joint).name),
-            expected="a joint with a motor, a position servo or a velocity servo",
-        )
-    return found
-
-
-def _with(model: mujoco.MjModel, names: Sequence[str], values: FloatArray) -> mujoco.MjModel:
-    changed = copy.copy(model)
-    for name, value in zip(names, values, strict=True):
-        joint, parameter = _place(name, model)
-        if parameter == _TORQUE_CONSTANT:
-            drives = _drives(model, name, joint)
-            for field_name in _DRIVE_FIELDS:
-                getattr(changed, field_name)[drives] *= 1.0 + value
-        else:
-            getattr(changed, _FIELDS[parameter])[model.jnt_dofadr[joint]] = value
-    return changed

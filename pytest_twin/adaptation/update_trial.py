@@ -9,17 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.adaptation.recursive import (
-    Disturb,
-    Recursion,
-    Window,
-    base_parameters,
-    track,
-)
+from pytest_twin.adaptation.recursive import Disturb, Recursion, Window, track
+from pytest_twin.adaptation.updated_parameters import base_parameters, predicted_positions
 from pytest_twin.adaptation_spec import ShadowPolicy, UpdateSpec
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.model import read_patched_model
-from pytest_twin.errors import RecordingError, SpecError
+from pytest_twin.errors import RecordingError
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.open_loop import Row, replay_rows, row_of
 from pytest_twin.realization import Realization
@@ -55,19 +50,15 @@ def try_update(
         released_update: update of the release, if its model is different and it has one.
 
     Raises:
-        SpecError: the model lacks parameters, or the base has effects outside of its model.
+        SpecError: the model lacks parameters.
         RecordingError: no recording is long enough for a window.
         OutOfTime: the run must end before the first window.
     """
-    if read_patched_model(realization) is not None:
-        raise SpecError(
-            "an update cannot be combined with effects outside the model's MJCF",
-            path=realization.path,
-            expected="a base model without an effects.json",
-        )
     rows = [row_of(realization, trial) for trial in trials]
-    recursion = Recursion(spec, base_parameters(spec, rows[0].model))
-    windows = track(recursion, rows)
+    recursion = Recursion(
+        spec, base_parameters(spec, rows[0].model, read_patched_model(realization))
+    )
+    windows = track(recursion, rows, base=realization)
     if not windows and is_over():
         raise OutOfTime
     if not windows:
@@ -81,7 +72,8 @@ def try_update(
     if released is not None:
         others = [row_of(released, trial) for trial in trials]
         own = released_update or spec
-        shown = track(Recursion(own, base_parameters(own, others[0].model)), others)
+        of_release = base_parameters(own, others[0].model, read_patched_model(released))
+        shown = track(Recursion(own, of_release), others, base=released)
         before = [w.base_rms if released_update is None else w.updated_rms for w in shown]
         if not before:
             raise OutOfTime
@@ -103,7 +95,7 @@ def try_update(
             _metric("position_rms", False, share, _rms(before), _rms(after)),
             _metric("position_max", True, allowed, max(before), max(after)),
         ],
-        "faults": _faults(spec, recursion, rows),
+        "faults": _faults(spec, recursion, rows, realization),
         "acting": {
             "share": sum(w.state == "updated" for w in windows) / len(windows),
             "kept_out": {
@@ -160,7 +152,9 @@ def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[dict[str, Any]]:
+def _faults(
+    spec: UpdateSpec, learned: Recursion, rows: Sequence[Row], base: Realization
+) -> list[dict[str, Any]]:
     """Test each fault on the first windows of motion, from the learned state.
 
     The test passes if the parameters stay within their bounds and the update's error over all these
@@ -176,18 +170,21 @@ def _faults(spec: UpdateSpec, learned: Recursion, rows: Sequence[Row]) -> list[d
         if seconds < _TRIED_WINDOWS * spec.window:
             some.append(row)
             seconds += row.trial.duration
-    simulated = _base_model_rows(some, spec.noise)
+    simulated = _base_model_rows(some, spec.noise, base)
     found = []
     for name, change in _CHANGES.items():
         if skips(f"fault {name}"):
             continue
         windows = track(
-            _recursion_from(learned, learned.value), some, disturb=_WindowsWithFault(change)
+            _recursion_from(learned, learned.value),
+            some,
+            disturb=_WindowsWithFault(change),
+            base=base,
         )
         of_base: list[Window] = []
         if name != "restart":
             begun = _recursion_from(learned, learned.base)
-            of_base = track(begun, simulated, disturb=_WindowsWithFault(change))
+            of_base = track(begun, simulated, disturb=_WindowsWithFault(change), base=base)
         found.append(_verdict(name, spec, windows, of_base))
     return found
 
@@ -199,15 +196,18 @@ def _recursion_from(learned: Recursion, value: FloatArray) -> Recursion:
     return found
 
 
-def _base_model_rows(rows: Sequence[Row], noise: float) -> list[Row]:
+def _base_model_rows(rows: Sequence[Row], noise: float, base: Realization) -> list[Row]:
     """Return trials whose positions are those of the base model, with sensor noise in rad or m."""
     random = np.random.default_rng(_SEED)
     found = []
     for row, one in zip(rows, replay_rows(rows, threads=1), strict=True):
-        if one.error is not None:
+        position, velocity = one.position, one.velocity if row.trial.velocity is not None else None
+        if read_patched_model(base) is not None:
+            # Without effects the velocity is another one; it follows from the positions.
+            (position,), velocity = predicted_positions(row, [], [np.zeros(0)], base), None
+        elif one.error is not None:
             raise one.error
-        read = one.position + noise * random.standard_normal(one.position.shape)
-        velocity = None if row.trial.velocity is None else one.velocity
+        read = position + noise * random.standard_normal(position.shape)
         found.append(replace(row, trial=replace(row.trial, position=read, velocity=velocity)))
     return found
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 
-from pytest_twin.effects import catalogue
+from pytest_twin.effects import Effect, catalogue
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +63,12 @@ _OF_FAMILY = {
 _OF_NAME = {
     "effort_delay": "timing",
     "effort_lag": "timing",
-    "effort_bias": "actuation",
-    "effort_scale": "actuation",
     "servo_stiffness": "actuation",
     "servo_damping": "actuation",
-    "backlash": "compliance_and_backlash",
-    "joint_elasticity": "compliance_and_backlash",
-    "joint_spring": "compliance_and_backlash",
     "contact_torsional_friction": "contact_and_material",
     "contact_rolling_friction": "contact_and_material",
 }
-"""Category of each name that is no effect, and of each effect that differs from its family."""
+"""Category of each name that is no effect."""
 
 
 def category_of_record(name: str) -> str:
@@ -91,7 +86,18 @@ def category_of_parameter(name: str) -> str:
         if word in _OF_NAME:
             return _OF_NAME[word]
         if word in catalogue():
-            return _OF_FAMILY[catalogue()[word].family]
+            return _category_of_effect(catalogue()[word])
     if any("friction" in word for word in words[1:]):
         return "friction_and_transmission"
     return "rigid_body_dynamics"
+
+
+def _category_of_effect(effect: Effect) -> str:
+    """Return the category of an effect: that of its family, unless its traits say another one."""
+    if effect.needs_effort_sensor:
+        return "actuation"
+    if effect.family == "transmission" and any(
+        "stiffness" in (p.quantity, (p.reciprocal_of or ("", ""))[1]) for p in effect.parameters
+    ):
+        return "compliance_and_backlash"
+    return _OF_FAMILY[effect.family]

@@ -25,6 +25,7 @@ from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, 
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
+from pytest_twin.effects import mjcf_fields
 from pytest_twin.open_loop import Replayed
 from pytest_twin.realization import Realization
 from pytest_twin.realization.encoders import Encoders, calibration_of
@@ -36,11 +37,6 @@ to 3 %."""
 _STEP = 0.1
 """Step of a finite difference, in standard deviations. It is small against the curvature of dry
 friction."""
-_IN_SIMULATOR = {
-    "armature": "dof_armature",
-    "viscous_friction": "dof_damping",
-    "coulomb_friction": "dof_frictionloss",
-}
 
 
 @dataclass(frozen=True)
@@ -191,9 +187,9 @@ class _Motion:
         fields: dict[str, FloatArray] = {}
         for at, column in enumerate(self.found.columns):
             own = self.found.regressor.columns[column]
-            field = _IN_SIMULATOR.get(own.kind)
-            if field is None or own.joint not in self.realization.joints:
+            if own.kind not in mjcf_fields() or own.joint not in self.realization.joints:
                 continue
+            field = f"dof_{mjcf_fields()[own.kind]}"
             dof = self.realization.joint_dof_index(own.joint)
             values = fields.setdefault(field, getattr(self.replays.model, field).copy())
             # The simulator accepts no negative friction; such a change is applied as a force.

@@ -16,7 +16,7 @@ from pytest_twin.budget.propagate import (
     root_of,
     sample_displacement,
 )
-from pytest_twin.budget.shifts import DELAYS, NO_RULE, Shift, shift_of
+from pytest_twin.budget.shifts import NO_RULE, Shift, shift_of
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
@@ -76,7 +76,7 @@ def identified_parameters(
     acting, effects = [], []
     patched = read_patched_model(realization)
     for at, name in enumerate(record.covariance_names):
-        joint, _, effect = name.partition(".")
+        joint = name.partition(".")[0]
         rule = shift_of(name, record, realization) if joint in task.chain.joints else NO_RULE
         column = column_of.get(name)
         if name not in record.values:
@@ -88,7 +88,7 @@ def identified_parameters(
                 columns.append(column)
             else:
                 left_out.append(f"{name}: in {record.units[name]}, of which no torque is known")
-        elif effect in DELAYS and joint in task.chain.joints and task.velocity is None:
+        elif isinstance(rule, Shift) and rule.of_pose.by == "velocity" and task.velocity is None:
             left_out.append(f"{name}: no speed is known; budget: recordings: gives it")
         elif isinstance(rule, Shift):
             shifting.append(at)
@@ -181,7 +181,7 @@ def displacement_by_shifts(
                 * load_at(
                     realization, shift.joint, tuple(task.chain.joints), position, still, still
                 )[:, 0]
-                if shift.by in ("load", "side")
+                if shift.of_pose.by in ("load", "side")
                 else still[:, at],
             )
             for shift, at in pairs

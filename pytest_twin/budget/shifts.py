@@ -13,29 +13,19 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.model import read_patched_model
+from pytest_twin.effects import PoseShift, catalogue
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.realization import Realization
 
-DELAYS = ("command_delay", "sensor_delay")
-_ZERO = "encoder_bias"
 NO_RULE = "no rule carries it to the task; its uncertainty is stated"
-_STIFF = frozenset({"N*m/rad", "N/m"})
-_SOFT = frozenset({"rad/(N*m)", "m/N"})
 
 
 @dataclass(frozen=True)
 class Shift:
-    """Shift of a joint's position by one parameter.
-
-    Attributes:
-        slope: change of the position per unit of the parameter and of the quantity ``by``.
-        by: quantity that the shift is proportional to: the joint's ``velocity``, its ``load``, the
-            ``side`` of the gap on which the load presses the teeth (1 or -1), or ``one``.
-    """
+    """Shift of a joint's position by one parameter."""
 
     joint: str
-    slope: float
-    by: str
+    of_pose: PoseShift
 
     def rate(self, velocity: FloatArray, load: FloatArray) -> FloatArray:
         """(n,) change of the joint's position per unit of the parameter.
@@ -48,16 +38,14 @@ class Shift:
             "one": np.ones_like(velocity), "velocity": velocity, "load": load,
             "side": np.where(load < 0.0, -1.0, 1.0),
         }  # fmt: skip
-        return np.asarray(self.slope * factors[self.by])
+        return np.asarray(self.of_pose.slope * factors[self.of_pose.by])
 
 
 def shift_of(name: str, record: IdentificationRecord, realization: Realization) -> Shift | str:
     """Return the shift by a parameter, or the reason why there is no rule.
 
-    With a delay ``d`` the joint is at ``q - v d``. If the reading is too high by ``b``, the joint
-    is at ``q - b``. Under the effort ``u`` a gear of stiffness ``k`` and gap ``g`` puts the link at
-    ``q - u / k - g sign(u) / 2``, where ``q`` is the motor position. A servo of stiffness ``k``,
-    which is ``(1 + e) kp``, has a position error of ``u / k``.
+    Effects state their rules. A servo of stiffness ``k`` has a position error of ``u / k`` under
+    the effort ``u``.
 
     Args:
         name: ``JOINT.EFFECT`` or ``JOINT.EFFECT.PARAMETER``.
@@ -67,33 +55,24 @@ def shift_of(name: str, record: IdentificationRecord, realization: Realization) 
     value, unit = record.values.get(name, 0.0), record.units.get(name, "")
     joint, _, rest = name.partition(".")
     effect, _, parameter = rest.partition(".")
-    if effect in DELAYS:
-        return Shift(joint, -1.0, "velocity")
-    if effect == _ZERO:
-        return Shift(joint, -1.0, "one")
-    if effect == "backlash" and parameter in ("", "gap"):
-        return Shift(joint, -0.5, "side")
-    if effect == "joint_elasticity" and unit in _STIFF and value > 0.0:
-        return Shift(joint, 1.0 / value**2, "load")
-    if effect == "joint_elasticity" and unit in _SOFT:
-        return Shift(joint, -1.0, "load")
-    if effect == "controller_gain" and parameter in ("", "stiffness_error") and value > -1.0:
-        stiffness = servo_stiffness(realization).get(joint)
-        if stiffness is not None:
-            if not _has_fitted_gain(realization, record, joint):
-                stiffness *= 1.0 + value
-            return Shift(joint, 1.0 / (stiffness * (1.0 + value)), "load")
-        return "no position servo drives this joint, so its gain holds no load"
     if effect == "servo_stiffness" and value > 0.0:
-        return Shift(joint, 1.0 / value**2, "load")
-    return NO_RULE
+        return Shift(joint, PoseShift(1.0 / value**2, "load"))
+    if effect not in catalogue():
+        return NO_RULE
+    stiffness = servo_stiffness(realization).get(joint)
+    if stiffness is not None and _has_fitted_gain(realization, record, effect, joint):
+        stiffness = stiffness / (1.0 + value) if value > -1.0 else None
+    rule = catalogue()[effect].pose_shift(parameter, value, unit, stiffness)
+    return Shift(joint, rule) if isinstance(rule, PoseShift) else rule or NO_RULE
 
 
-def _has_fitted_gain(realization: Realization, record: IdentificationRecord, joint: str) -> bool:
+def _has_fitted_gain(
+    realization: Realization, record: IdentificationRecord, effect: str, joint: str
+) -> bool:
     """Whether the model's servo has the gain of the record, and not that of the nominal model."""
     patched = read_patched_model(realization)
     effects = () if patched is None else patched.effects
-    if any((e.effect, e.joint) == ("controller_gain", joint) and e.is_in_mjcf for e in effects):
+    if any((e.effect, e.joint) == (effect, joint) and e.is_in_mjcf for e in effects):
         return True
     driven = realization.structure.actuator_joints
     return any(joint in driven.get(one, ()) for one in record.fit.get("actuator", {}))

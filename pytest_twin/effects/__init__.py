@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 
-from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.base import (
+    JOINT_FIELDS,
+    Effect,
+    ModelFields,
+    Parameter,
+    PoseShift,
+    RegressorColumn,
+    Values,
+    World,
+)
 from pytest_twin.effects.checked import checked
 from pytest_twin.effects.proposal import JointFit, Start
 from pytest_twin.errors import SpecError
@@ -17,10 +26,15 @@ __all__ = [
     "JointFit",
     "ModelFields",
     "Parameter",
+    "PoseShift",
+    "RegressorColumn",
     "Start",
     "Values",
     "World",
     "catalogue",
+    "effect_of_field",
+    "in_order_of_fields",
+    "mjcf_fields",
 ]
 
 
@@ -44,5 +58,39 @@ def catalogue() -> Mapping[str, Effect]:
                 value=point.name,
                 expected="one package for each effect; uninstall the other",
             )
-        effects[point.name] = checked(load_plugin(point, "effect"), point.name, package_of(point))
+        effect = checked(load_plugin(point, "effect"), point.name, package_of(point))
+        same = [
+            other.id for other in effects.values()
+            if effect.mjcf_field and other.mjcf_field == effect.mjcf_field
+        ]  # fmt: skip
+        if same:
+            raise SpecError(
+                "two effects are added to one field of the model",
+                where=f"{effect.id}.mjcf_field and {same[0]}.mjcf_field",
+                value=effect.mjcf_field,
+                expected="one effect for each field; uninstall the package of the other",
+            )
+        effects[point.name] = effect
     return effects
+
+
+def mjcf_fields() -> Mapping[str, str]:
+    """Return effect id -> attribute of an MJCF joint to which its parameter is added."""
+    return {effect.id: effect.mjcf_field for effect in catalogue().values() if effect.mjcf_field}
+
+
+def effect_of_field(field: str) -> Effect:
+    """Return the effect whose parameter is added to an attribute of an MJCF joint."""
+    return next(effect for effect in catalogue().values() if effect.mjcf_field == field)
+
+
+def in_order_of_fields(effects: Iterable[Effect]) -> list[Effect]:
+    """Sort effects: armature, damping and dry friction of the model first, in this order.
+
+    The order does not depend on that in which packages are installed.
+    """
+    last = len(JOINT_FIELDS)
+    return sorted(
+        effects,
+        key=lambda e: (JOINT_FIELDS.index(e.mjcf_field) if e.mjcf_field else last, e.id),
+    )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.base import Effect, Parameter, Values, World
+from pytest_twin.effects.base import Effect, Parameter, PoseShift, Values, World
 from pytest_twin.effects.fast_clip import fast_clip
 from pytest_twin.effects.proposal import JointFit, Start
 
@@ -62,6 +62,7 @@ class ActuatorLag(_FilterEffect):
 
     id = "actuator_lag"
     family = "actuation"
+    stage = "drive"
     law = (
         "of_setpoint 0: time_constant d(delivered)/dt = drive - delivered; "
         "of_setpoint 1 (servos): time_constant d(setpoint)/dt = command - setpoint"
@@ -223,6 +224,9 @@ class TorqueConstant(Effect):
 
     id = "torque_constant"
     family = "actuation"
+    stage = "drive"
+    # A servo has gains instead, of which it is a special case.
+    basic_modes = ("effort",)
     nearly_linear = True
     common_to_geared_motors = True
     law = "delivered = (1 + relative_error) drive"
@@ -255,6 +259,7 @@ class TorqueSaturation(Effect):
 
     id = "torque_saturation"
     family = "actuation"
+    stage = "drive"
     is_limit = True
     law = "|drive| <= limit"
     source = "peak current; Siciliano et al., Robotics (2009), sec. 5.2"
@@ -291,6 +296,7 @@ class TorqueSpeedLimit(Effect):
 
     id = "torque_speed_limit"
     family = "actuation"
+    stage = "drive"
     is_limit = True
     law = "drive sign(v) <= stall (1 - |v| / no_load_speed)"
     source = "DC motor curve; Hughes, Drury, Electric Motors and Drives (2019), ch. 3"
@@ -339,6 +345,7 @@ class DeadZone(Effect):
 
     id = "dead_zone"
     family = "actuation"
+    stage = "drive"
     law = (
         "of_effort 0: error -> sign(error) max(|error| - width, 0), for an effort drive its "
         "command; of_effort 1 (servos): effort -> sign(effort) max(|effort| - gain width, 0)"
@@ -444,6 +451,8 @@ class ControllerGain(Effect):
 
     id = "controller_gain"
     family = "actuation"
+    stage = "drive"
+    basic_modes = ("position", "velocity")
     nearly_linear = True
     law = "effort = (1 + stiffness_error) kp (setpoint - q) - (1 + damping_error) kv v"
     source = "PD law; Siciliano et al., Robotics (2009), sec. 8.5"
@@ -511,3 +520,12 @@ class ControllerGain(Effect):
         world.gain = world.gain * np.where(world.servo == "velocity", damping, stiffness)
         world.stiffness = world.stiffness * stiffness
         world.damping = world.damping * damping
+
+    def pose_shift(
+        self, parameter: str, value: float, unit: str, servo_stiffness: float | None
+    ) -> PoseShift | str | None:
+        if parameter not in ("", "stiffness_error") or value <= -1.0:
+            return None
+        if servo_stiffness is None:
+            return "no position servo drives this joint, so its gain holds no load"
+        return PoseShift(1.0 / (servo_stiffness * (1.0 + value) ** 2), "load")

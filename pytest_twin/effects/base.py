@@ -47,6 +47,12 @@ SIGNAL_PATHS: Mapping[str, str] = {
     "environment": "surroundings",
 }
 """Family -> part of the signal path of its effects; effects on the command are in ``command``."""
+StageOfEffect = Literal[
+    "delay", "encoder", "gravity", "inertia", "friction", "drive", "closed_loop", "contact", "none",
+]  # fmt: skip
+"""Stages of an identification that fit effects; ``none`` for an effect that none fits."""
+JOINT_FIELDS = ("armature", "damping", "frictionloss")
+"""Attributes of an MJCF joint to which the one parameter of an effect may be added."""
 SMOOTH_STEP = 1e-3
 """Finite-difference step for a parameter on which the motion depends smoothly."""
 
@@ -319,6 +325,36 @@ class World:
         return effort
 
 
+@dataclass(frozen=True, slots=True)
+class RegressorColumn:
+    """Column of the inverse dynamics of one joint.
+
+    Attributes:
+        effort: (n,) effort of the drive per unit of the parameter, N*m or N.
+        by_position, by_velocity, by_acceleration: (n,) its slopes; 0 where it does not depend on
+            them. A direction of motion counts as constant.
+    """
+
+    effort: FloatArray
+    by_position: FloatArray | float = 0.0
+    by_velocity: FloatArray | float = 0.0
+    by_acceleration: FloatArray | float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PoseShift:
+    """Shift of a joint's position by one parameter.
+
+    Attributes:
+        slope: change of the position per unit of the parameter and of the quantity ``by``.
+        by: quantity that the shift is proportional to: the joint's ``velocity``, its ``load``, the
+            ``side`` of the gap on which the load presses the teeth (1 or -1), or ``one``.
+    """
+
+    slope: float
+    by: Literal["velocity", "load", "side", "one"]
+
+
 class Effect:
     """One effect. Subclasses state the class attributes and override the hooks that they need.
 
@@ -363,6 +399,15 @@ class Effect:
         dry_friction_level: name of the parameter that is a constant level of dry friction; None
             without one.
         candidate: whether the search proposes it.
+        stage: stage of an identification that tries it. Those of ``closed_loop`` are tried after
+            all stages, if the held-out residual is above the noise floor.
+        basic_modes: command modes of a joint under which its stage fits it from the start;
+            otherwise the stage adds it if it lowers the held-out error.
+        mjcf_field: attribute of an MJCF joint to which its one parameter is added, one of
+            ``JOINT_FIELDS``; empty without one.
+        regressor_symbol: symbol of its one parameter in the literature, where the effort of the
+            drive is linear in it. Identification from measured effort then estimates it, and
+            excitation is designed for it; :meth:`regressor_column` is its column.
     """
 
     id: ClassVar[str]
@@ -389,6 +434,10 @@ class Effect:
     depends_only_on_position: ClassVar[bool] = False
     dry_friction_level: ClassVar[str | None] = None
     candidate: ClassVar[bool] = True
+    stage: ClassVar[StageOfEffect] = "closed_loop"
+    basic_modes: ClassVar[tuple[str, ...]] = ()
+    mjcf_field: ClassVar[str] = ""
+    regressor_symbol: ClassVar[str] = ""
 
     @property
     def path(self) -> str:
@@ -419,6 +468,38 @@ class Effect:
     def has_forms(self) -> bool:
         """Whether some of its forms have parameters that others lack."""
         return any(p.under is not None for p in self.parameters)
+
+    @property
+    def shows_in_motion_alone(self) -> bool:
+        """Whether motion shows it without effort readings and without contact."""
+        return not self.needs_effort_sensor and self.family != "contact"
+
+    def regressor_column(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> RegressorColumn:
+        """Effort of the drive per unit of its parameter, and its slopes along the motion.
+
+        Args:
+            position, velocity, acceleration: (n,) of the joint.
+        """
+        raise NotImplementedError
+
+    def pose_shift(
+        self, parameter: str, value: float, unit: str, servo_stiffness: float | None
+    ) -> PoseShift | str | None:
+        """Shift of the joint's position by one of its parameters while the joint is held.
+
+        Returns:
+            The shift; a reason why there is none; or None if the effect shifts no pose, or none
+            that a rule states.
+
+        Args:
+            parameter: name; empty for the only one that a fit changes.
+            value, unit: reported value, SI.
+            servo_stiffness: stiffness of the joint's position servo without the effect, N*m/rad or
+                N/m; None without a servo.
+        """
+        return None
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         """Special cases with fewer parameters: effect id -> its parameters, SI."""

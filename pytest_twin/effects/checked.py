@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from typing import NoReturn, get_args
 
 from pytest_twin.effects.base import (
+    JOINT_FIELDS,
     MODES,
     REFERENCES,
     SIGNAL_PATHS,
@@ -14,6 +15,7 @@ from pytest_twin.effects.base import (
     Parameter,
     Quantity,
     Scope,
+    StageOfEffect,
 )
 from pytest_twin.errors import SpecError
 
@@ -47,6 +49,17 @@ def _checked(effect: object, name: str) -> Effect:
     _one_of(name, "scope", effect.scope, get_args(Scope))
     for mode in effect.modes:
         _one_of(name, "modes", mode, MODES)
+    _one_of(name, "stage", effect.stage, get_args(StageOfEffect))
+    for mode in effect.basic_modes:
+        _one_of(name, "basic_modes", mode, effect.modes)
+    if effect.mjcf_field:
+        _one_of(name, "mjcf_field", effect.mjcf_field, JOINT_FIELDS)
+    for trait in ("mjcf_field", "regressor_symbol"):
+        if getattr(effect, trait) and (len(effect.parameters) > 1 or effect.scope != "joint"):
+            _refuse(name, trait, getattr(effect, trait), "an effect of a joint with one parameter")
+    if bool(effect.regressor_symbol) != effect.overrides("regressor_column"):
+        _refuse(name, "regressor_symbol", effect.regressor_symbol,
+                "a symbol together with a method regressor_column")  # fmt: skip
     for parameter in effect.parameters:
         _check_parameter(name, parameter, effect.parameters)
     if all(p.neutral is None for p in effect.parameters):

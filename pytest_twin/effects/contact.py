@@ -22,6 +22,7 @@ class ContactOffset(Effect):
 
     id = "contact_offset"
     family = "contact"
+    stage = "contact"
     law = (
         "surface moved by offset along its normal; "
         "normal: z axis of a plane or height field, face of a box that the robot touches, mean "
@@ -50,6 +51,7 @@ class ContactStiffness(Effect):
 
     id = "contact_stiffness"
     family = "contact"
+    stage = "contact"
     law = "contact stiffness times 1 + relative_error, contact damping unchanged"
     source = "Todorov, ICRA (2014): convex and analytically-invertible dynamics with contacts"
     scope = "robot"
@@ -74,6 +76,7 @@ class ContactDamping(Effect):
 
     id = "contact_damping"
     family = "contact"
+    stage = "contact"
     law = (
         "contact damping times 1 + relative_error, contact stiffness unchanged; "
         "the damping also slows slip within the friction cone"
@@ -100,6 +103,7 @@ class ContactFriction(Effect):
 
     id = "contact_friction"
     family = "contact"
+    stage = "contact"
     law = "|tangential force| <= (mu + coefficient) normal force; sliding only, mu at least 0"
     source = "Stewart, Trinkle, Int. J. Numer. Meth. Eng. 39 (1996): Coulomb friction in steps"
     scope = "robot"

@@ -15,6 +15,7 @@ class ExternalForce(Effect):
 
     id = "external_force"
     family = "environment"
+    stage = "none"
     law = "effort for start <= t < start + duration, else 0"
     source = "Haddadin, De Luca, Albu-Schaeffer, IEEE T-RO 33 (2017): collision detection"
     parameters = (

@@ -12,7 +12,15 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.base import (
+    MODES,
+    Effect,
+    ModelFields,
+    Parameter,
+    RegressorColumn,
+    Values,
+    World,
+)
 from pytest_twin.effects.motor import motor_effort
 
 _SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
@@ -39,6 +47,10 @@ class ViscousFriction(Effect):
 
     id = "viscous_friction"
     family = "friction"
+    stage = "friction"
+    basic_modes = MODES
+    mjcf_field = "damping"
+    regressor_symbol = "fv"
     nearly_linear = True
     common_to_geared_motors = True
     law = "effort = -coefficient v"
@@ -61,12 +73,21 @@ class ViscousFriction(Effect):
     def fields(self, fields: ModelFields, values: Values) -> None:
         fields.damping += values["coefficient"]
 
+    def regressor_column(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> RegressorColumn:
+        return RegressorColumn(velocity, by_velocity=1.0)
+
 
 class CoulombFriction(Effect):
     """Dry friction: a constant effort against motion that also holds the joint at rest."""
 
     id = "coulomb_friction"
     family = "friction"
+    stage = "friction"
+    basic_modes = MODES
+    mjcf_field = "frictionloss"
+    regressor_symbol = "fs"
     dry_friction_level = "coulomb"
     nearly_linear = True
     common_to_geared_motors = True
@@ -88,6 +109,11 @@ class CoulombFriction(Effect):
 
     def fields(self, fields: ModelFields, values: Values) -> None:
         fields.friction += values["coulomb"]
+
+    def regressor_column(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> RegressorColumn:
+        return RegressorColumn(np.sign(velocity))
 
 
 class AsymmetricFriction(_DryFriction):
@@ -126,6 +152,7 @@ class StribeckFriction(_DryFriction):
 
     id = "stribeck_friction"
     family = "friction"
+    stage = "friction"
     dry_friction_level = "coulomb"
     law = "level = coulomb + (stiction - coulomb) exp(-(v / stribeck_velocity)^2)"
     source = "Bo, Pavelescu, Wear 82 (1982); " + _SURVEY
@@ -163,6 +190,7 @@ class LoadDependentFriction(Effect):
 
     id = "load_dependent_friction"
     family = "friction"
+    stage = "friction"
     common_to_geared_motors = True
     law = (
         "of_drive 0: level = coefficient |load|, load = gravity, Coriolis and centrifugal effort; "

@@ -25,6 +25,7 @@ class TorqueRolloff(Effect):
 
     id = "torque_rolloff"
     family = "actuation"
+    stage = "drive"
     common_to_geared_motors = True
     law = (
         "ideal = drive - back_emf v; effort of the motor = ideal / (1 + |ideal| / knee); "
@@ -74,6 +75,7 @@ class WatchdogTimeout(Effect):
 
     id = "watchdog_timeout"
     family = "actuation"
+    stage = "drive"
     law = (
         "delivered = 0 once the command has been constant for timeout, until it changes; "
         "back_emf v: the part of the model's passive damping that disappears while the drive is off"
@@ -136,6 +138,7 @@ class MotorLoadFriction(Effect):
 
     id = "motor_load_friction"
     family = "friction"
+    stage = "friction"
     common_to_geared_motors = True
     law = "level = (coefficient + stiction_excess exp(-|v| / stribeck_velocity)) |delivered|"
     source = (

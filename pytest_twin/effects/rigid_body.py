@@ -9,7 +9,14 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values
+from pytest_twin.effects.base import (
+    MODES,
+    Effect,
+    ModelFields,
+    Parameter,
+    RegressorColumn,
+    Values,
+)
 
 if TYPE_CHECKING:
     from pytest_twin.effects.layout import Layout
@@ -23,6 +30,8 @@ class Payload(Effect):
 
     id = "payload"
     family = "rigid_body"
+    stage = "gravity"
+    basic_modes = MODES
     nearly_linear = True
     law = (
         "point mass at distance along the last link's direction, from its joint; "
@@ -188,6 +197,10 @@ class Armature(Effect):
 
     id = "armature"
     family = "rigid_body"
+    stage = "inertia"
+    basic_modes = MODES
+    mjcf_field = "armature"
+    regressor_symbol = "Ia"
     nearly_linear = True
     common_to_geared_motors = True
     law = "effort = -inertia dv/dt; inertia = rotor inertia times gear ratio squared"
@@ -206,6 +219,11 @@ class Armature(Effect):
 
     def fields(self, fields: ModelFields, values: Values) -> None:
         fields.armature += values["inertia"]
+
+    def regressor_column(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> RegressorColumn:
+        return RegressorColumn(acceleration, by_acceleration=1.0)
 
 
 class BaseTilt(Effect):

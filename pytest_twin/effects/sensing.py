@@ -7,7 +7,15 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.base import Effect, Parameter, Values, World
+from pytest_twin.effects.base import (
+    MODES,
+    Effect,
+    Parameter,
+    PoseShift,
+    RegressorColumn,
+    Values,
+    World,
+)
 
 
 class EncoderBias(Effect):
@@ -15,6 +23,8 @@ class EncoderBias(Effect):
 
     id = "encoder_bias"
     family = "sensing"
+    stage = "encoder"
+    basic_modes = MODES
     nearly_linear = True
     hook_order = 2
     common_to_geared_motors = True
@@ -47,6 +57,11 @@ class EncoderBias(Effect):
         self, position: FloatArray, velocity: FloatArray, values: Values
     ) -> tuple[FloatArray, FloatArray]:
         return position - values["bias"], velocity
+
+    def pose_shift(
+        self, parameter: str, value: float, unit: str, servo_stiffness: float | None
+    ) -> PoseShift | str | None:
+        return PoseShift(-1.0, "one")
 
 
 class EncoderScale(Effect):
@@ -143,6 +158,8 @@ class EffortBias(Effect):
 
     id = "effort_bias"
     family = "sensing"
+    stage = "drive"
+    regressor_symbol = "off"
     needs_effort_sensor = True
     hook_order = 2
     law = "measured effort = effort + bias"
@@ -159,6 +176,11 @@ class EffortBias(Effect):
     def sense_effort(self, effort: FloatArray, values: Values) -> FloatArray:
         return effort + values["bias"][:, None]
 
+    def regressor_column(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> RegressorColumn:
+        return RegressorColumn(np.ones_like(velocity))
+
 
 class EffortScale(Effect):
     """The effort sensor's sensitivity, or the sign of its reading, is wrong.
@@ -168,6 +190,7 @@ class EffortScale(Effect):
 
     id = "effort_scale"
     family = "sensing"
+    stage = "drive"
     needs_effort_sensor = True
     hook_order = 1
     law = "measured effort = (1 + scale_error) effort"

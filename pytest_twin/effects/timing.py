@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.base import Effect, Parameter, Values
+from pytest_twin.effects.base import MODES, Effect, Parameter, PoseShift, Values
 
 _DELAY_OR_LAG = (
     "record steps and a chirp: a delay leaves a dead time, and its phase grows linearly with "
@@ -19,6 +19,8 @@ class CommandDelay(Effect):
 
     id = "command_delay"
     family = "timing"
+    stage = "delay"
+    basic_modes = MODES
     common_to_geared_motors = True
     nearly_linear = True
     law = "setpoint(t) = command(t - delay)"
@@ -38,6 +40,11 @@ class CommandDelay(Effect):
     def command_latency(self, values: Values) -> FloatArray | None:
         return values["delay"]
 
+    def pose_shift(
+        self, parameter: str, value: float, unit: str, servo_stiffness: float | None
+    ) -> PoseShift | str | None:
+        return PoseShift(-1.0, "velocity")
+
 
 class SensorDelay(Effect):
     """Every sample shows the state a fixed time before its stamp."""
@@ -56,6 +63,11 @@ class SensorDelay(Effect):
 
     def sample_time(self, time: FloatArray, values: Values) -> FloatArray:
         return time - values["delay"][:, None]
+
+    def pose_shift(
+        self, parameter: str, value: float, unit: str, servo_stiffness: float | None
+    ) -> PoseShift | str | None:
+        return PoseShift(-1.0, "velocity")
 
 
 class ClockDrift(Effect):

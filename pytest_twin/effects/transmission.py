@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects.base import Effect, ModelFields, Parameter, Values, World
+from pytest_twin.effects.base import Effect, ModelFields, Parameter, PoseShift, Values, World
 from pytest_twin.effects.fast_clip import fast_clip
 from pytest_twin.effects.motor_side import Gear
 from pytest_twin.effects.proposal import JointFit, Start
@@ -189,6 +189,11 @@ class Backlash(Effect):
             world.motor_armature, world.link_inertia, world.timestep,
         )  # fmt: skip
 
+    def pose_shift(
+        self, parameter: str, value: float, unit: str, servo_stiffness: float | None
+    ) -> PoseShift | str | None:
+        return PoseShift(-0.5, "side") if parameter in ("", "gap") else None
+
 
 _LINK_ERRORS = (-0.4, -0.2, 0.2, 0.4, 0.8)
 """Relative errors of a link's mass and inertia to try behind an elastic transmission."""
@@ -251,3 +256,11 @@ class JointElasticity(Effect):
             self.separates(values), values["compliance"], values["damping_time"],
             world.motor_armature, world.link_inertia, world.timestep,
         )  # fmt: skip
+
+    def pose_shift(
+        self, parameter: str, value: float, unit: str, servo_stiffness: float | None
+    ) -> PoseShift | str | None:
+        if unit in (self.parameters[0].unit(kind) for kind in ("hinge", "slide")) and value > 0.0:
+            return PoseShift(1.0 / value**2, "load")
+        soft = (self.parameters[0].fitted_unit(kind) for kind in ("hinge", "slide"))
+        return PoseShift(-1.0, "load") if unit in soft else None

@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.friction import LoadDependentFriction
+from pytest_twin.effects.transmission import Backlash
 from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.closed_loop import Response
 from pytest_twin.excitation.gravity_grid import SETTLE, random_poses, static_matrix
 from pytest_twin.excitation.motion import Motion
 from pytest_twin.excitation.noise import SampleNoise
 from pytest_twin.identification.regressor.base_parameters import BaseParameters, base_of
+from pytest_twin.identification.regressor.columns import drive_effects
 from pytest_twin.identification.regressor.covariance import predicted_covariance
 from pytest_twin.identification.regressor.regressor import Regressor
 
@@ -31,7 +35,6 @@ _STATED = 1e-6
 """Share of the robot's largest moment below which a link's moments count as unstated."""
 _ROUNDING = 1e-6
 """Fraction of the resolution below which a nominal value is a rounding error."""
-_FRICTION = {"viscous_friction": "viscous friction", "coulomb_friction": "Coulomb friction"}
 LOADS_APART = 0.02
 """Smallest difference of loads that separates load-dependent friction, as a share of the approved
 effort."""
@@ -129,10 +132,9 @@ def _small(base: BaseParameters, nominal: FloatArray, approved: ApprovedLimits) 
     found = np.zeros(len(base))
     for at, column in enumerate(kinds):
         joint = limits.get(column.joint)
-        if column.kind in ("coulomb_friction", "effort_bias") and joint is not None:
-            found[at] = SMALL_EFFORT * joint.effort
-        elif column.kind == "viscous_friction" and joint is not None:
-            found[at] = SMALL_EFFORT * joint.effort / joint.velocity
+        power = None if column.is_inertial else _speed_power(column.kind)
+        if power is not None and joint is not None:
+            found[at] = SMALL_EFFORT * joint.effort / joint.velocity**power
         else:
             links = sizes[column.unit]
             stated = _STATED * max(links.values())
@@ -140,6 +142,14 @@ def _small(base: BaseParameters, nominal: FloatArray, approved: ApprovedLimits) 
             least = min((size for size in links.values() if size > stated), default=0.0)
             found[at] = SMALL_INERTIA * max(links[column.joint], least)
     return found
+
+
+def _speed_power(kind: str) -> int | None:
+    """Return the power of the speed to which the effort of a drive's parameter is proportional."""
+    effect = catalogue().get(kind)
+    if effect is None:
+        return None
+    return {"effort": 0, "damping": 1, "drag": 2}.get(effect.parameters[0].quantity)
 
 
 def inertia(
@@ -215,8 +225,11 @@ def friction(
     nominal = base.values(regressor.prior)
     small = _small(base, nominal, approved)
     found = []
-    for kind, what in _FRICTION.items():
-        name, words = f"{limits.name}.{kind}", f"{what} of '{limits.name}'"
+    for effect in drive_effects():
+        if effect.family != "friction":
+            continue
+        name = f"{limits.name}.{effect.id}"
+        words = f"{effect.parameters[0].meaning} of '{limits.name}'"
         if name not in base.names:
             found.append(_open("friction", name, words, "not separable from others by this motion"))
             continue
@@ -227,7 +240,7 @@ def friction(
                 float(nominal[at]), float(std[at]), float(small[at]),
             )
         )  # fmt: skip
-    name = f"{limits.name}.load_dependent_friction"
+    name = f"{limits.name}.{LoadDependentFriction.id}"
     words = f"load-dependent friction of '{limits.name}'"
     if separate:
         found.append(PredictedAccuracy("friction", name, name, words, "1", None, float(std[-1])))
@@ -250,7 +263,7 @@ def backlash(
     limits = approved.joints[joint]
     moving = sum(int((motion.velocity[:, joint] != 0.0).sum()) for motion in motions)
     std = 2.0 * float(noise.position[joint]) / math.sqrt(max(moving, 1))
-    name = f"{limits.name}.backlash"
+    name = f"{limits.name}.{Backlash.id}"
     words = f"backlash of '{limits.name}', if its encoder is on the joint side of the gear"
     return PredictedAccuracy("backlash", name, name, words, limits.unit, None, std)
 

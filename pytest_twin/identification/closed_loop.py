@@ -14,14 +14,13 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.patched.model import AppliedEffect, read_patched_model
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import load_written
+from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.errors import TwinError
-from pytest_twin.formats.identification_record import EncoderChange
 from pytest_twin.identification.drive_effects import DriveEffects, DriveRecordings, fit_drives
 from pytest_twin.identification.effort.servo_gains import ServoGains
-from pytest_twin.identification.fit_patches import Patches
 from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
-from pytest_twin.identification.write import add_effects, write_fitted
+from pytest_twin.identification.write import ModelChanges, Patches, add_effects, write_fitted
 from pytest_twin.metrics.joint_frequency import effort_response
 from pytest_twin.metrics.residual import residual
 from pytest_twin.realization import Realization
@@ -73,7 +72,7 @@ class ClosedLoop:
     def is_solved_by_delays(self) -> bool:
         """Whether late commands explain nearly all of the nominal position error."""
         held_out = self.stage.held_out
-        late = any(".command_delay" in name for name in self.parameters)
+        late = any(f".{CommandDelay.id}" in name for name in self.parameters)
         return late and held_out is not None and held_out.after < _SOLVED * held_out.before
 
     def has_larger_error_than(self, other: ClosedLoop) -> bool:
@@ -84,8 +83,7 @@ class ClosedLoop:
 
 def close_loop(
     nominal: Realization,
-    fit: Patches,
-    encoders: Mapping[str, EncoderChange],
+    changes: ModelChanges,
     gains: Sequence[ServoGains],
     recordings: DriveRecordings | None,
     trials: Sequence[Trial] | TwinError,
@@ -96,22 +94,20 @@ def close_loop(
     It has servo gains from effort and tracking error, or effects of drives, or neither.
 
     Args:
-        fit: changes of bodies and joints.
+        changes: changes of bodies, joints and encoders.
         gains: gains of position servos from measured effort.
         recordings: recordings to which the effects of drives are fitted; None for no effects.
         trials: result of :func:`trials_of`.
         folder: new and empty; gets the fitted model.
     """
-    write_fitted(folder, nominal, fit, encoders)
+    write_fitted(folder, nominal, changes)
     positions, stage = compare_simulations(nominal, load_written(folder), trials)
-    plain = ClosedLoop(folder, fit, positions, stage)
+    plain = ClosedLoop(folder, changes.patches, positions, stage)
     if stage.held_out is None:
         return plain
     best, notes = plain, []
     if gains:
-        servos = _with_gains(
-            nominal, fit, encoders, gains, trials, _new_folder(folder, "servo_gains")
-        )
+        servos = _with_gains(nominal, changes, gains, trials, _new_folder(folder, "servo_gains"))
         if any(one.is_late for one in gains):
             late = _with_delays(
                 nominal, servos, gains, trials, _new_folder(folder, "command_delays")
@@ -130,7 +126,7 @@ def close_loop(
         base = plain
         if recordings.known:
             aside = _new_folder(folder, "known_servos")
-            base = _with_gains(nominal, fit, encoders, recordings.known, trials, aside)
+            base = _with_gains(nominal, changes, recordings.known, trials, aside)
         other = _new_folder(folder, "drive_effects")
         try:
             found = fit_drives(load_written(base.folder), recordings, other)
@@ -145,14 +141,13 @@ def close_loop(
 
 def _with_gains(
     nominal: Realization,
-    fit: Patches,
-    encoders: Mapping[str, EncoderChange],
+    changes: ModelChanges,
     gains: Sequence[ServoGains],
     trials: Sequence[Trial] | TwinError,
     folder: Path,
 ) -> ClosedLoop:
-    patches = {**fit, "actuator": {one.actuator: dict(one.patch()) for one in gains}}
-    write_fitted(folder, nominal, patches, encoders)
+    patches = {**changes.patches, "actuator": {one.actuator: dict(one.patch()) for one in gains}}
+    write_fitted(folder, nominal, replace(changes, patches=patches))
     positions, stage = compare_simulations(nominal, load_written(folder), trials)
     parameters = {name: one for each in gains for name, one in each.parameters().items()}
     words = ", ".join(one.words for one in gains)
@@ -178,7 +173,7 @@ def _with_delays(
     shutil.copytree(servos.folder, folder, dirs_exist_ok=True)
     joints = tuple(nominal.joints)
     add_effects(folder, joints, [
-        AppliedEffect("command_delay", one.joint, {"delay": one.command_delay(held)},
+        AppliedEffect(CommandDelay.id, one.joint, {"delay": one.command_delay(held)},
                       is_in_mjcf=False)
         for one in late
     ])  # fmt: skip
@@ -303,7 +298,7 @@ def compare_simulations(
 
 def with_command_delays(stages: Sequence[Stage], loop: ClosedLoop) -> tuple[Stage, ...]:
     """Return the stages with the command delays of the closed loop in the stage ``delay``."""
-    late = [name for name in loop.parameters if ".command_delay" in name]
+    late = [name for name in loop.parameters if f".{CommandDelay.id}" in name]
     if not late:
         return tuple(stages)
     values = (f"{name} {1e3 * loop.parameters[name]['value']:.3g} ms" for name in late)

@@ -19,31 +19,30 @@ from pytest_twin.diagnosis.intervals import ParameterUncertainty
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
+from pytest_twin.effects.base import JOINT_FIELDS
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.identification.effort.servo_gains import ServoGains
-from pytest_twin.identification.fit_patches import Patches
 from pytest_twin.identification.measured_recordings import MeasuredRecordings
 from pytest_twin.identification.records import correlated_pairs
+from pytest_twin.identification.regressor.columns import drive_effects
 from pytest_twin.identification.simulation.document import parameters_with_covariance
 from pytest_twin.identification.simulation.identify_by_simulation import (
     SimulationResult,
     identify_simulation,
 )
 from pytest_twin.identification.simulation.passive_joints import impossible
-from pytest_twin.identification.simulation.stage_effects import AFTER_EFFORT, StagePlan
+from pytest_twin.identification.simulation.stage_effects import StagePlan
 from pytest_twin.identification.simulation.stage_fit import with_derivatives
 from pytest_twin.identification.stages import Stage
+from pytest_twin.identification.write import Patches
 from pytest_twin.realization import Realization
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 from pytest_twin.trial.joint_side import effort_factor
 
-_FRICTION = ("viscous_friction", "coulomb_friction")
-"""Effects that measured effort and motion both show: errors of their values from effort are in the
-values of the drives."""
 _FOLLOWS = 0.01
 """Systematic difference from the law of a servo, relative to the effort's deviation, up to which an
 effort follows it. It is 0 to 0.1 % for a servo, and 1.6 % or more with a dead zone of 2 % of the
@@ -123,6 +122,7 @@ def drive_recordings(
     if any(one.name == "drive" and one.state == "rejected" for one in result.stages):
         return None
     plain = all(effort_factor(joint, signals) is not None for joint in joints)
+    friction = _friction_of_effort()
     scaled = result.gains or any(scale.is_significant for scale in result.scales.values())
     return DriveRecordings(
         list(dict.fromkeys(one.path for one in measured.fit)),
@@ -133,7 +133,7 @@ def drive_recordings(
         {
             column.name: row
             for row, i in enumerate(result.fitted.kept)
-            if (column := result.base.columns[result.base.independent[i]]).kind in _FRICTION
+            if (column := result.base.columns[result.base.independent[i]]).kind in friction
         },
         result.fitted.solution.covariance,
         known,
@@ -163,9 +163,7 @@ def fit_drives(
         found = identify_simulation(
             fitted, trials,
             inherited=inherited,
-            plan=StagePlan(
-                ("drive",), AFTER_EFFORT, frozenset(one.joint for one in recordings.known)
-            ),
+            plan=StagePlan.after_effort(frozenset(one.joint for one in recordings.known)),
         )  # fmt: skip
         problem = found.prepared.problem
         is_complete = len(found.stages) == _STAGES
@@ -238,7 +236,7 @@ def changed_attributes(before: mujoco.MjModel, after: mujoco.MjModel) -> Patches
     found: Patches = {"joint": {}, "actuator": {}}
     for joint in range(after.njnt):
         dof = after.jnt_dofadr[joint]
-        for attribute in ("damping", "frictionloss", "armature"):
+        for attribute in JOINT_FIELDS:
             own, was = (float(getattr(m, f"dof_{attribute}")[dof]) for m in (after, before))
             if not np.isclose(own, was, rtol=_DIGITS):
                 found["joint"].setdefault(after.joint(joint).name, {})[attribute] = own
@@ -262,7 +260,7 @@ def _widen_by_friction(
     free = {
         Term(effect, joint): recordings.friction[name]
         for joint, place in enumerate(problem.joints)
-        for effect in _FRICTION
+        for effect in _friction_of_effort()
         if (name := f"{place}.{effect}") in recordings.friction
         and not any(
             term.joint == joint and effect in (term.effect, *term.law.generalizes)
@@ -293,6 +291,14 @@ def _widen_by_friction(
         conservative_covariance=spread.conservative_covariance + added,
         half_width=np.hypot(spread.half_width, Z95 * np.sqrt(np.diag(added))),
     )
+
+
+def _friction_of_effort() -> list[str]:
+    """Return the friction that measured effort and motion both show.
+
+    Errors of its values from effort are in the values of the drives.
+    """
+    return [effect.id for effect in drive_effects() if effect.family == "friction"]
 
 
 def _without_efforts(trials: TrialSet) -> TrialSet:

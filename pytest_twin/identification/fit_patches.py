@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 
 from pytest_twin.diagnosis.patched.model import AppliedEffect
+from pytest_twin.effects import mjcf_fields
 from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.identification.effort.identify_effort import EffortResult
+from pytest_twin.identification.regressor.columns import drive_effects
+from pytest_twin.identification.write import Patches
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics, body_patches
-
-Patches = dict[str, dict[str, dict[str, Any]]]
-
-_ATTRIBUTE = {
-    "armature": "armature",
-    "viscous_friction": "damping",
-    "coulomb_friction": "frictionloss",
-}
 
 
 def patches_of(realization: Realization, result: EffortResult) -> Patches:
@@ -35,13 +29,13 @@ def patches_of(realization: Realization, result: EffortResult) -> Patches:
     found: Patches = {"joint": {}, "body": {}}
     for joint in result.regressor.joints:
         # If the effort of a joint is a current, the drive parameters are in A.
-        scale = values.get(f"{joint}.effort_scale", 1.0)
+        scale = values.get(f"{joint}.{EffortScale.id}", 1.0)
         if joint in result.without_effort or scale <= 0.0:
             continue
         changed = {
             attribute: max(float(values[f"{joint}.{kind}"]) / scale, 0.0)
-            for kind, attribute in _ATTRIBUTE.items()
-            if f"{joint}.effort_scale" in values
+            for kind, attribute in mjcf_fields().items()
+            if f"{joint}.{EffortScale.id}" in values
             or values[f"{joint}.{kind}"] != nominal[f"{joint}.{kind}"]
         }
         if changed:
@@ -73,9 +67,9 @@ def reading_effects(result: EffortResult, moved: Collection[str]) -> list[Applie
     for joint in result.regressor.joints:
         if joint in result.without_effort:
             continue
-        scale, offset = 1.0, values[f"{joint}.effort_bias"]
-        if f"{joint}.effort_scale" in values:
-            scale = values[f"{joint}.effort_scale"]
+        scale, offset = 1.0, values[f"{joint}.{EffortBias.id}"]
+        if f"{joint}.{EffortScale.id}" in values:
+            scale = values[f"{joint}.{EffortScale.id}"]
         elif joint in result.used_scales:
             scale = result.used_scales[joint].value
             offset *= scale
@@ -85,3 +79,19 @@ def reading_effects(result: EffortResult, moved: Collection[str]) -> list[Applie
         if offset and joint not in moved:
             found.append(AppliedEffect(EffortBias.id, joint, {"bias": offset}, is_in_mjcf=False))
     return found
+
+
+def laws_of(result: EffortResult) -> list[AppliedEffect]:
+    """Return the effects of drives that no MJCF contains, other than those of readings."""
+    names = (column.name for column in result.regressor.columns)
+    values = dict(zip(names, result.physical.parameters.tolist(), strict=True))
+    laws = []
+    for joint in result.regressor.joints:
+        scale = values.get(f"{joint}.{EffortScale.id}", 1.0)
+        for effect in drive_effects():
+            value = values[f"{joint}.{effect.id}"] / scale if scale > 0.0 else 0.0
+            is_known = effect.mjcf_field or effect.needs_effort_sensor
+            if value and not is_known and joint not in result.without_effort:
+                name = effect.parameters[0].name
+                laws.append(AppliedEffect(effect.id, joint, {name: value}, is_in_mjcf=False))
+    return laws

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects import catalogue
+from pytest_twin.effects.sensing import EffortScale
 from pytest_twin.identification.regressor import Column
 from pytest_twin.realization.inverse_dynamics import INERTIAL, pseudo_inertia
 
@@ -29,12 +31,23 @@ _SETTLED = 1e-6
 """Relative change of cost and parameters at which the fit ends."""
 _OFF_BOUND = 1e-4
 """Distance of initial values from their bounds, SI units, so that the solver can move them."""
-NOT_NEGATIVE = frozenset({"armature", "viscous_friction", "coulomb_friction", "effort_scale"})
 _PINOCCHIO = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _ROWS = np.array([0, 1, 2, 3, 1, 2, 2, 3, 3, 3])
 _COLUMNS = np.array([0, 1, 2, 3, 0, 0, 1, 0, 1, 2])
 """Entries of a triangular (4, 4) matrix: first the diagonal, then the rows below it."""
 _TO_PINOCCHIO = [INERTIAL.index(name) for name in _PINOCCHIO]
+
+
+def is_positive(kind: str) -> bool:
+    """Whether no joint has a negative value of a parameter: armature, friction, a scale.
+
+    Args:
+        kind: kind of a column of a regressor.
+    """
+    effect = catalogue().get(kind)
+    if effect is None or not effect.regressor_symbol:
+        return kind == EffortScale.id
+    return bool(effect.mjcf_field) or effect.parameters[0].lower >= 0.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +93,7 @@ def fit_full_parameters(
     size = 10 * len(links)
     lower = np.concatenate([
         np.full(size, -np.inf),
-        [0.0 if columns[i].kind in NOT_NEGATIVE else -np.inf for i in others],
+        [0.0 if is_positive(columns[i].kind) else -np.inf for i in others],
     ])  # fmt: skip
     of_full = root @ combination
     measured = root @ base
@@ -201,5 +214,5 @@ def _is_consistent(columns: Sequence[Column], values: FloatArray) -> bool:
         matrix = pseudo_inertia(own[_TO_PINOCCHIO])
         if np.linalg.eigvalsh(matrix).min() < -1e-9 * np.trace(matrix):
             return False
-    drives = [i for i, c in enumerate(columns) if c.kind in NOT_NEGATIVE]
+    drives = [i for i, c in enumerate(columns) if is_positive(c.kind)]
     return bool((values[drives] >= 0.0).all())

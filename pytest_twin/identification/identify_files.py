@@ -10,6 +10,7 @@ from typing import Any
 
 from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.write import load_written
+from pytest_twin.effects.friction import AsymmetricFriction
 from pytest_twin.errors import PathError, RecordingError, TwinError
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.identification.closed_loop import (
@@ -34,7 +35,7 @@ from pytest_twin.identification.effort.identify_effort import (
 from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.effort.stage_comparison import EffortError
 from pytest_twin.identification.encoder_changes import encoder_changes
-from pytest_twin.identification.fit_patches import patches_of, reading_effects
+from pytest_twin.identification.fit_patches import laws_of, patches_of, reading_effects
 from pytest_twin.identification.known_effects import notes_on_effects
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.recheck import EffortRecord, effort_errors
@@ -43,7 +44,7 @@ from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify_sensors import identify_sensors
 from pytest_twin.identification.sensing.sensor_recordings import NamedSensor
 from pytest_twin.identification.signal_table import signal_table
-from pytest_twin.identification.write import add_effects, write_fitted
+from pytest_twin.identification.write import ModelChanges, add_effects, write_fitted
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.record_inputs import basis_json, states_of_records, unfitted
 from pytest_twin.recording_options import NO_OPTIONS, Base, RecordingOptions
@@ -154,7 +155,7 @@ def _identify_files(
     progress(0.3)
     if has_effort(measured) and skips("all stages"):
         document = nominal_document("measured effort")
-        write_fitted(folder, realization, {}, {})
+        write_fitted(folder, realization)
     elif has_effort(measured):
         tried = trials_of(
             realization, _paths(measured.held_out) or _paths(measured.fit),
@@ -168,16 +169,17 @@ def _identify_files(
         gains = servo_gains(realization, measured.fit, result, signals)
         driven = drive_recordings(measured, {**stated, **topics}, chosen, signals, result, gains)
         loop = close_loop(
-            realization, patches_of(realization, result), encoders, gains,
-            driven, tried, folder,
+            realization,
+            ModelChanges(patches_of(realization, result), encoders, laws_of(result)),
+            gains, driven, tried, folder,
         )  # fmt: skip
         stages = (*with_command_delays(result.stages, loop), loop.stage)
         if loop.drives is not None:
             stages = with_drive_effects(stages, loop.drives)
         moved = {
-            name.split(".asymmetric_friction")[0]
+            name.split(".")[0]
             for name in loop.parameters
-            if ".asymmetric_friction" in name
+            if AsymmetricFriction.id in name.split(".")
         }
         add_effects(folder, result.regressor.joints, reading_effects(result, moved))
         errors = _written_errors(

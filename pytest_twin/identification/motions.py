@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pytest_twin.effects import effect_of_field
 from pytest_twin.identification.stages import StageName
 
 _MECHANISMS: Mapping[StageName, str] = {
@@ -66,7 +67,7 @@ def _motion(stage: StageName, joint: str, kind: str) -> str:
         return f"hold poses in which gravity acts on the link of {joint} from several sides"
     if stage == "inertia":
         return f"accelerate {joint}, and the joints before it, in several poses at once"
-    if kind.endswith("viscous_friction"):
+    if kind.endswith(effect_of_field("damping").id):
         return f"move {joint} at two constant speeds a factor of four apart, both ways"
     if stage == "friction":
         return f"move {joint} slowly to and fro over the same path"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.effort.delay import DELAY, LAG, without_delay
@@ -26,11 +27,11 @@ from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.twin import DEFAULT_TOPICS
 
 _OF_RECORD = frozenset({
-    "effort_bias", "effort_scale", "coupled_armature", "coupled_viscous_friction",
+    EffortBias.id, EffortScale.id, "coupled_armature", "coupled_viscous_friction",
     "coupled_coulomb_friction",
 })  # fmt: skip
 """Parameters that a rigid-body model cannot contain; they are taken from the record."""
-_OF_READINGS = frozenset({"effort_bias", "effort_scale"})
+_OF_READINGS = frozenset({EffortBias.id, EffortScale.id})
 """Those of them that ``effects.json`` of a fitted model contains."""
 
 
@@ -119,7 +120,7 @@ def effort_errors(
     gains = {
         joint: Scale(gain, 0.0)
         for joint, gain in record.drive_gains.items()
-        if f"{joint}.effort_scale" not in contained
+        if f"{joint}.{EffortScale.id}" not in contained
     }
     measured = list(as_torques(measured, gains))
     unscaled = [j for k, j in enumerate(joints) if measured[0].unscaled[k]]
@@ -150,8 +151,8 @@ def _as_identified(
         if name in record:
             moved = without_delay(moved, record[name], name)
     scales = {
-        joint: Scale(record[f"{joint}.effort_scale"], 0.0)
+        joint: Scale(record[f"{joint}.{EffortScale.id}"], 0.0)
         for joint in measured[0].joints
-        if joint not in currents and f"{joint}.effort_scale" in record
+        if joint not in currents and f"{joint}.{EffortScale.id}" in record
     }
     return divide_by_scales(moved, scales)

@@ -8,10 +8,11 @@ from typing import Any, Literal
 import numpy as np
 
 from pytest_twin import __version__
+from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.encoders import SCALE, undetermined_entries
 from pytest_twin.identification.effort.estimate import SQUARES
-from pytest_twin.identification.effort.groups import FRICTION, stage_of
+from pytest_twin.identification.effort.groups import is_of_drive, stage_of
 from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.identification.effort.impossible_drives import impossible_drives
 from pytest_twin.identification.effort.stage_comparison import EffortError, parameter_name
@@ -93,12 +94,12 @@ def effort_document(
     parameters: dict[str, Any] = {}
     prior = base.values(result.regressor.prior)
     # The constant of such a current is measured against the model's inertia.
-    of_model = np.array([base.columns[base.independent[i]].kind == "effort_scale" for i in kept])
+    of_model = np.array([base.columns[base.independent[i]].kind == EffortScale.id for i in kept])
     half = np.hypot(half, np.where(of_model, _INERTIA_OF_MODELS * np.abs(values), 0.0))
     for k, i in enumerate(kept):
         alone = np.count_nonzero(base.combination[i]) == 1
         column = base.columns[base.independent[i]]
-        drive = alone and column.kind in FRICTION | {"effort_bias", "effort_scale"}
+        drive = alone and is_of_drive(column)
         parameters[names[k]] = {
             "value": float(values[k]),
             "unit": base.units[i],
@@ -117,7 +118,7 @@ def effort_document(
     # The bias from parameters that are fixed at zero is independent of the noise.
     covariance = with_deviations(fitted.solution.covariance, widths)
     tested = bool(result.held_out)
-    offsets = [column.kind == "effort_bias" for column in base.columns]
+    offsets = [column.kind == EffortBias.id for column in base.columns]
     of_robot = any(not base.combination[i][offsets].any() for i in kept)
     errors = {
         joint: {
@@ -136,7 +137,7 @@ def effort_document(
     ordered = in_order(stages)
     fatal = any(one.is_fatal for one in result.suspected)
     for joint, scale in result.scales.items():
-        parameters[f"{joint}.effort_scale"] = {
+        parameters[f"{joint}.{EffortScale.id}"] = {
             "value": scale.value,
             "unit": "1",
             "ci95": [scale.value - scale.half_width, scale.value + scale.half_width],
@@ -146,7 +147,7 @@ def effort_document(
             "estimator": "least squares of known payloads",
         }
     for joint, gain in result.gains.items():
-        parameters[f"{joint}.effort_scale"] = {
+        parameters[f"{joint}.{EffortScale.id}"] = {
             "value": gain.value,
             "unit": f"A/({_effort_unit(result, joint)})",
             "ci95": [gain.value - gain.half_width, gain.value + gain.half_width],
@@ -261,7 +262,7 @@ def _base_json(result: EffortResult, i: int, values: np.ndarray, std: np.ndarray
 
 def _effort_unit(result: EffortResult, joint: str) -> str:
     units = {c.unit for c in result.regressor.columns
-             if c.joint == joint and c.kind == "effort_bias"}  # fmt: skip
+             if c.joint == joint and c.kind == EffortBias.id}  # fmt: skip
     return units.pop()
 
 

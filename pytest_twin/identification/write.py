@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from pytest_twin.diagnosis.patched.model import (
     read_patched_model,
 )
 from pytest_twin.diagnosis.patched.write import load_written, twin_text
+from pytest_twin.effects import catalogue
 from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.errors import SpecError
 from pytest_twin.formats import atomic
@@ -26,12 +27,27 @@ from pytest_twin.identification.known_effects import kept_effects
 from pytest_twin.realization import Realization, mjcf, mjcf_file, patch
 from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Calibration, JointCalibration
 
+Patches = dict[str, dict[str, dict[str, Any]]]
+"""Family -> element -> attribute -> value, as the table ``fit:`` of a twin."""
+
+
+@dataclass(frozen=True)
+class ModelChanges:
+    """Changes of a model by an identification.
+
+    Attributes:
+        patches: family -> element -> attribute -> value.
+        encoders: joint -> its calibration before and after.
+        laws: effects that no MJCF contains.
+    """
+
+    patches: Patches = field(default_factory=dict)
+    encoders: Mapping[str, EncoderChange] = field(default_factory=dict)
+    laws: Sequence[AppliedEffect] = ()
+
 
 def write_fitted(
-    folder: Path,
-    realization: Realization,
-    patches: Mapping[str, Mapping[str, Any]],
-    encoders: Mapping[str, EncoderChange],
+    folder: Path, realization: Realization, changes: ModelChanges = ModelChanges()
 ) -> None:
     """Write ``model.xml`` with the fit, and ``twin.yaml`` with the fields that no MJCF has.
 
@@ -40,8 +56,6 @@ def write_fitted(
 
     Args:
         folder: a new, empty folder.
-        patches: family -> element -> attribute -> value.
-        encoders: joint -> its calibration before and after.
 
     Raises:
         SpecError: the fit names an element that the model does not have.
@@ -52,7 +66,7 @@ def write_fitted(
     def refuse(where: str, problem: str, **details: Any) -> SpecError:
         return SpecError(problem, path=realization.path, where=where, **details)
 
-    patch.apply_fit(spec, patches, {}, refuse=refuse)
+    patch.apply_fit(spec, changes.patches, {}, refuse=refuse)
     model, _ = mjcf.compile_spec(spec)
     if realization.source.kind == "mjcf":
         for name, path in realization.source.assets.items():
@@ -64,19 +78,20 @@ def write_fitted(
         text = json.dumps(effects_json(effects), indent=2) + "\n"
         atomic.write_text(folder / EFFECTS_FILE, text)
     twin = realization.twin
-    after = {joint: JointCalibration(**one.after) for joint, one in encoders.items()}
+    after = {joint: JointCalibration(**one.after) for joint, one in changes.encoders.items()}
     if twin is not None:
         stated = twin.calibration or Calibration("identified", None, {}, twin.path)
         own = replace(stated, joints={**stated.joints, **after})
         atomic.write_text(folder / FILE_NAME, twin_text(replace(twin, calibration=own), None))
-    elif encoders:
-        joints = {joint: dict(one.after) for joint, one in encoders.items()}
+    elif changes.encoders:
+        joints = {joint: dict(one.after) for joint, one in changes.encoders.items()}
         data = {
             "name": "identified",
             "model": MODEL_FILE,
             "calibration": {"id": "identified", "joints": joints},
         }
         atomic.write_text(folder / FILE_NAME, yaml.safe_dump(data, sort_keys=False))
+    add_effects(folder, tuple(realization.joints), changes.laws)
 
 
 def add_effects(folder: Path, joints: tuple[str, ...], new: Sequence[AppliedEffect]) -> None:
@@ -107,6 +122,9 @@ def _after(before: AppliedEffect, new: AppliedEffect, patched: PatchedModel) -> 
     if new.effect == EffortScale.id:
         scale = (1.0 + before.values["scale_error"]) * (1.0 + new.values["scale_error"])
         return replace(new, values={"scale_error": scale - 1.0})
+    if catalogue()[new.effect].regressor_symbol and new.effect != EffortBias.id:
+        # The fit took the earlier effect as given.
+        return replace(new, values={n: before.values[n] + v for n, v in new.values.items()})
     if new.effect != EffortBias.id:
         return new
     scale = 1.0 + sum(

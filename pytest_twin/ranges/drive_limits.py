@@ -17,11 +17,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from pytest_twin.diagnosis.patched.model import PatchedModel
-from pytest_twin.effects import catalogue
+from pytest_twin.effects import catalogue, effect_of_field
 from pytest_twin.ranges.distribution import Coordinate, Distribution, UpperLimit
 from pytest_twin.realization import Realization
-
-_DAMPING = "viscous_friction"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +54,7 @@ def with_passive_joints(
     names = {one.name: k for k, one in enumerate(coordinates)}
     for part in _parts(patched):
         place = places.get((part.effect, part.parameter, part.joint))
-        at = names.get(f"{part.joint}.{_DAMPING}")
+        at = names.get(f"{part.joint}.{effect_of_field('damping').id}")
         own, added, is_written = _damping(realization, patched, part.joint)
         whole = own if is_written else own + added
         if part.value > whole:
@@ -125,12 +123,13 @@ def _damping(
     realization: Realization, patched: PatchedModel | None, joint: str
 ) -> tuple[float, float, bool]:
     """Return damping of the model, the addition by effects, and whether the model contains it."""
+    damping = effect_of_field("damping")
     own = float(realization.model.dof_damping[realization.joint_dof_index(joint)])
     found = [
         one for one in (() if patched is None else patched.effects)
-        if (one.effect, one.joint) == (_DAMPING, joint)
+        if (one.effect, one.joint) == (damping.id, joint)
     ]  # fmt: skip
-    added = sum(one.values.get("coefficient", 0.0) for one in found)
+    added = sum(one.values.get(damping.parameters[0].name, 0.0) for one in found)
     return own, added, any(one.is_in_mjcf for one in found)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,7 @@ from pytest_twin.budget.effect_parameters import effect_parameter
 from pytest_twin.budget.identification import columns_of, regressor_of
 from pytest_twin.budget.propagate import root_of
 from pytest_twin.diagnosis.patched.model import PatchedModel
-from pytest_twin.effects import catalogue
+from pytest_twin.effects import catalogue, mjcf_fields
 from pytest_twin.errors import FormatError
 from pytest_twin.formats.identification_record import IdentificationRecord
 from pytest_twin.identification.regressor import Regressor
@@ -21,12 +21,6 @@ from pytest_twin.ranges.distribution import Coordinate
 from pytest_twin.realization import Realization
 from pytest_twin.realization.inverse_dynamics import INERTIAL
 
-FIELDS: Mapping[str, str] = {
-    "viscous_friction": "damping",
-    "coulomb_friction": "frictionloss",
-    "armature": "armature",
-}
-"""Parameter of a joint -> attribute of the model's joint."""
 _INSTANTS = 60
 """Number of random joint states of the regressor."""
 _RANK = 1e-8
@@ -137,7 +131,9 @@ def _coordinate(
         if record.units.get(name, own.unit) != own.unit:
             found.left_out.append(f"{name}: in {record.units[name]}, of which no torque is known")
             return None
-        return _of_joint(realization, own.joint, own.kind, own.unit, name, found)
+        law = catalogue().get(own.kind)
+        if law is None or law.mjcf_field or law.needs_effort_sensor:
+            return _of_joint(realization, own.joint, own.kind, own.unit, name, found)
     place, _, rest = name.partition(".")
     effect, _, _ = rest.partition(".")
     joint = None if place == "robot" else place
@@ -166,7 +162,7 @@ def _coordinate(
 def _of_joint(
     realization: Realization, joint: str, kind: str, unit: str, name: str, found: RecordCoordinates
 ) -> Coordinate | None:
-    if kind not in FIELDS:
+    if kind not in mjcf_fields():
         found.left_out.append(f"{name}: the twin's model has no such parameter")
         return None
     return joint_coordinate(realization, joint, kind, unit)
@@ -176,11 +172,13 @@ def joint_coordinate(realization: Realization, joint: str, kind: str, unit: str)
     """Return the coordinate of friction or armature of a joint, with the model's value as mean.
 
     Args:
-        kind: one of ``FIELDS``.
+        kind: effect whose parameter is added to a field of the model.
     """
-    dof = realization.joint_dof_index(joint)
-    stated = float(getattr(realization.model, f"dof_{FIELDS[kind]}")[dof])
-    return Coordinate(f"{joint}.{kind}", unit, stated, 0.0, 0.0, joint=joint, field=FIELDS[kind])
+    field_name = mjcf_fields()[kind]
+    stated = float(
+        getattr(realization.model, f"dof_{field_name}")[realization.joint_dof_index(joint)]
+    )
+    return Coordinate(f"{joint}.{kind}", unit, stated, 0.0, 0.0, joint=joint, field=field_name)
 
 
 def _bodies_for(

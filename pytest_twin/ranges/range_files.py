@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from pytest_twin.effects import mjcf_fields
+from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.errors import FormatError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.paths import decode_text, read_bytes
@@ -52,22 +54,24 @@ class Term:
 _FUNCTIONS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     # Isaac Lab: one pair of numbers sets static, dynamic and viscous friction.
     "randomize_joint_parameters": {
-        "friction_distribution_params": ("coulomb_friction", "viscous_friction"),
+        "friction_distribution_params": ("frictionloss", "damping"),
         "armature_distribution_params": ("armature",),
     },
     "randomize_rigid_body_mass": {"mass_distribution_params": ("mass",)},
     # mjlab
-    "joint_friction": {"ranges": ("coulomb_friction",)},
-    "dof_frictionloss": {"ranges": ("coulomb_friction",)},
-    "joint_damping": {"ranges": ("viscous_friction",)},
-    "dof_damping": {"ranges": ("viscous_friction",)},
+    "joint_friction": {"ranges": ("frictionloss",)},
+    "dof_frictionloss": {"ranges": ("frictionloss",)},
+    "joint_damping": {"ranges": ("damping",)},
+    "dof_damping": {"ranges": ("damping",)},
     "joint_armature": {"ranges": ("armature",)},
     "dof_armature": {"ranges": ("armature",)},
-    "encoder_bias": {"bias_range": ("encoder_bias",)},
+    # This one has the name of the effect.
+    EncoderBias.id: {"bias_range": (EncoderBias.id,)},
     "body_mass": {"ranges": ("mass",)},
 }
-"""Function of an event -> its parameter -> kinds of the quantities that it sets."""
-_OPERATION = {"encoder_bias": "abs", "body_mass": "scale", "randomize_rigid_body_mass": "abs"}
+"""Function of an event -> its parameter -> fields of a joint that it sets, or kinds of other
+quantities."""
+_OPERATION = {EncoderBias.id: "abs", "body_mass": "scale", "randomize_rigid_body_mass": "abs"}
 """Function -> default operation; all others set the value."""
 
 
@@ -215,7 +219,9 @@ def _of_events(events: Sequence[Mapping[str, Any]], skipped: list[str]) -> Itera
             if distribution != "gaussian" and numbers[0] > numbers[1]:
                 skipped.append(f"{where}: {function}: {key}: {_descends(numbers)}")
                 continue
-            yield Term(kinds, _patterns(names), numbers, operation, distribution, where)
+            of_field = {field: effect for effect, field in mjcf_fields().items()}
+            quantities = tuple(of_field.get(kind, kind) for kind in kinds)
+            yield Term(quantities, _patterns(names), numbers, operation, distribution, where)
 
 
 def _patterns(names: Any) -> tuple[str, ...] | None:

@@ -12,6 +12,8 @@ import numpy as np
 from pytest_twin import __version__
 from pytest_twin.diagnosis.noise import sensor_noise
 from pytest_twin.diagnosis.patched.model import read_patched_model
+from pytest_twin.effects.sensing import EncoderBias
+from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.formats import typed
 from pytest_twin.ranges.bodies import Body
@@ -282,7 +284,7 @@ def _only_in_sampler(distribution: Distribution) -> list[str]:
     return [
         one.name
         for one in distribution.coordinates
-        if one.effect is not None and one.effect not in ("command_delay", "encoder_bias")
+        if one.effect is not None and one.effect not in (CommandDelay.id, EncoderBias.id)
     ]
 
 

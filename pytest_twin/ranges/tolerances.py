@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects import catalogue, mjcf_fields
 from pytest_twin.effects.base import si_unit
 from pytest_twin.effects.sensing import EncoderBias
 from pytest_twin.effects.timing import CommandDelay
 from pytest_twin.ranges.bodies import AXES, Body, bodies_of
 from pytest_twin.ranges.calibrated_zeros import encoder_zero
 from pytest_twin.ranges.distribution import Coordinate, Source
-from pytest_twin.ranges.identified_coordinates import FIELDS, RecordCoordinates, joint_coordinate
+from pytest_twin.ranges.identified_coordinates import RecordCoordinates, joint_coordinate
 from pytest_twin.ranges_spec import Tolerance
 from pytest_twin.realization import Realization
 from pytest_twin.realization.patch import suggest
@@ -22,7 +23,6 @@ from pytest_twin.twin import Twin
 
 _UNIFORM = np.sqrt(3.0)
 """Ratio of half width to standard deviation of a uniform distribution."""
-_QUANTITY = {"viscous_friction": "damping", "coulomb_friction": "effort", "armature": "inertia"}
 
 
 def with_tolerances(
@@ -105,7 +105,7 @@ def _declared(tolerance: Tolerance, where: str, twin: Twin, realization: Realiza
     """Return the coordinate of a parameter that no record has."""
     joint, _, kind = tolerance.parameter.rpartition(".")
     structure = realization.structure
-    kinds = (*FIELDS, CommandDelay.id, EncoderBias.id)
+    kinds = (*mjcf_fields(), CommandDelay.id, EncoderBias.id)
     if joint not in _joints(realization) or kind not in kinds:
         raise twin.error(
             f"{where}.parameter",
@@ -115,8 +115,9 @@ def _declared(tolerance: Tolerance, where: str, twin: Twin, realization: Realiza
             "BODY.mass",
         )
     slide = structure.joint_type[joint] == "slide"
-    if kind in FIELDS:
-        return joint_coordinate(realization, joint, kind, si_unit(_QUANTITY[kind], slide))  # type: ignore[arg-type]
+    if kind in mjcf_fields():
+        quantity = catalogue()[kind].parameters[0].quantity
+        return joint_coordinate(realization, joint, kind, si_unit(quantity, slide))
     if kind == EncoderBias.id:
         return encoder_zero(joint, structure)
     return Coordinate(

@@ -8,6 +8,7 @@ from typing import Any
 
 import jinja2
 
+from pytest_twin.effects.sensing import EncoderBias, EncoderScale
 from pytest_twin.report.frequency import figures_of, rows_of
 from pytest_twin.report.page import style_of, template
 
@@ -122,8 +123,8 @@ def encoder_rows(document: Mapping[str, Any]) -> list[dict[str, str]]:
     joints: dict[str, list[str]] = {joint: [] for joint in changes}
     for name, one in document["parameters"].items():
         joint, _, kind = name.rpartition(".")
-        if kind in ("encoder_bias", "encoder_scale") and one.get("ci95") is not None:
-            scale, unit = (100.0, "%") if kind == "encoder_scale" else (1e3, f"m{one['unit']}")
+        if kind in (EncoderBias.id, EncoderScale.id) and one.get("ci95") is not None:
+            scale, unit = (100.0, "%") if kind == EncoderScale.id else (1e3, f"m{one['unit']}")
             half = (one["ci95"][1] - one["ci95"][0]) / 2.0
             joints.setdefault(joint, []).append(
                 f"{kind.removeprefix('encoder_')} {scale * one['value']:+.3g} "

@@ -12,8 +12,9 @@ sys.path.append(str(Path(__file__).parent))
 
 from plants import model, record
 
-from pytest_twin.adaptation.recursive import Recursion, base_parameters, track
+from pytest_twin.adaptation.recursive import Recursion, track
 from pytest_twin.adaptation.update_trial import try_update
+from pytest_twin.adaptation.updated_parameters import base_parameters
 from pytest_twin.adaptation_spec import ShadowPolicy, UpdateSpec
 from pytest_twin.errors import SpecError
 from pytest_twin.open_loop import row_of

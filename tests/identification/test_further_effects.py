@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 from pytest_twin.identification.simulation import identify_by_simulation
-from pytest_twin.identification.simulation.stage_effects import FURTHER, StagePlan
+from pytest_twin.identification.simulation.stage_effects import StagePlan, further_effects
 from pytest_twin.identification.simulation.stage_fit import add_effects, held_out_error
 from pytest_twin.realization import load
 from pytest_twin.recording_options import RecordingOptions
@@ -107,6 +107,13 @@ def found_by_the_drive_stage(
     folder: Path, drive: Callable[[], Drive]
 ) -> tuple[Problem, Hypothesis]:
     """The effects that the drive stage adds for recordings of a drive."""
+    return found_by_a_stage(folder, drive, further_effects("drive"))
+
+
+def found_by_a_stage(
+    folder: Path, drive: Callable[[], Drive], effects: Sequence[str]
+) -> tuple[Problem, Hypothesis]:
+    """Those of the effects that a stage adds for recordings of a drive."""
     (folder / "model.xml").write_text(MODEL.format(**NOMINAL))
     *fit, held = (
         write_trial(folder / f"{name}.csv", seed, drive()) for seed, name in enumerate("abc", 1)
@@ -118,7 +125,7 @@ def found_by_the_drive_stage(
     used = determine_signals(setup, trials).apply(trials)
     prepared, _ = build_problem(setup, used, [])
     problem = prepared.problem
-    return problem, add_effects(problem, EMPTY, FURTHER["drive"], ["position"])
+    return problem, add_effects(problem, EMPTY, effects, ["position"])
 
 
 def test_the_drive_stage_adds_nothing_where_the_drive_is_as_in_the_model(tmp_path: Path) -> None:

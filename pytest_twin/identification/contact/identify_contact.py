@@ -57,7 +57,7 @@ def identify_contact(
     if skips("stage contact"):
         document = nominal_document("poses of tosses")
         document["notes"] += tosses.notes
-        write_fitted(folder, realization, {}, {})
+        write_fitted(folder, realization)
         return document
     fit = fit_contact(contact_model(realization, body), tosses.fit, tosses.held_out, progress)
     document = contact_document(fit, tosses, realization)
@@ -83,7 +83,7 @@ def identify_contact(
         "rate": None if tosses.units.period is None else 1.0 / tosses.units.period,
         "velocity_age": tosses.units.lag,
     }
-    write_fitted(folder, _with_contact(realization, fit), {}, {})
+    write_fitted(folder, _with_contact(realization, fit))
     return document
 
 

@@ -10,11 +10,17 @@ import mujoco
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.contact import (
+    ContactDamping,
+    ContactFriction,
+    ContactOffset,
+    ContactStiffness,
+)
 from pytest_twin.realization import Realization
 from pytest_twin.realization.free_body import FreeBody, copy_of_model
 
 FRICTION, STIFFNESS, DAMPING, OFFSET = (
-    "contact_friction", "contact_stiffness", "contact_damping", "contact_offset",
+    ContactFriction.id, ContactStiffness.id, ContactDamping.id, ContactOffset.id,
 )  # fmt: skip
 TORSIONAL, ROLLING = "contact_torsional_friction", "contact_rolling_friction"
 UNITS: Mapping[str, str] = {

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.sensing import EncoderBias, EncoderScale
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.effort_scale import payload_parameters
 from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT, shrinkage
@@ -25,7 +26,7 @@ from pytest_twin.identification.motions import entry
 from pytest_twin.identification.regressor import BaseParameters, Regressor
 from pytest_twin.realization import Realization
 
-BIAS, SCALE = "encoder_bias", "encoder_scale"
+BIAS, SCALE = EncoderBias.id, EncoderScale.id
 _WIDEST = 0.05
 """Half width (rad, m or fraction) above which the motion does not determine an encoder error. It is
 3 degrees, an error that is visible at the robot's alignment marks."""

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.effects import catalogue
 from pytest_twin.identification.regressor import BaseParameters, Column, Regressor
 from pytest_twin.identification.stages import StageName
 
-FRICTION = frozenset(
-    {"viscous_friction", "coulomb_friction", "coupled_viscous_friction", "coupled_coulomb_friction"}
-)
-DRIVE = frozenset({"effort_bias", "effort_scale"})
+_COUPLED = "coupled_"
+"""Start of the names of parameters that a shared motor couples into another joint."""
 _POSES = 64
 """Number of random poses at which efforts at rest are computed."""
 
@@ -36,11 +36,16 @@ def stage_of(column: Column, weighs: bool) -> StageName:
         column: column of the regressor.
         weighs: whether the parameter causes an effort at rest.
     """
-    if column.kind in FRICTION:
-        return "friction"
-    if column.kind in DRIVE:
-        return "drive"
+    effect = catalogue().get(column.kind.removeprefix(_COUPLED))
+    if effect is not None and effect.stage not in ("gravity", "inertia"):
+        # Effects that are tried after all stages act on the joint like friction.
+        return "friction" if effect.stage == "closed_loop" else cast(StageName, effect.stage)
     return "gravity" if weighs else "inertia"
+
+
+def is_of_drive(column: Column) -> bool:
+    """Whether a parameter is friction, or belongs to the drive or its reading."""
+    return stage_of(column, weighs=False) in ("friction", "drive")
 
 
 def stages_of(regressor: Regressor, base: BaseParameters) -> list[StageName]:
@@ -60,10 +65,12 @@ def dry_of(columns: Sequence[Column], joints: Sequence[str]) -> NDArray[np.bool_
     """(joints, p) True for columns of dry friction that acts on a joint."""
     return np.array(
         [
-            [
-                "coulomb" in column.kind and joint in (column.joint, column.partner)
-                for column in columns
-            ]
+            [_is_dry(column) and joint in (column.joint, column.partner) for column in columns]
             for joint in joints
         ]
     )
+
+
+def _is_dry(column: Column) -> bool:
+    effect = catalogue().get(column.kind.removeprefix(_COUPLED))
+    return effect is not None and effect.dry_friction_level is not None

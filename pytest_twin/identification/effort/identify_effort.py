@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.sensing import EffortScale
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.delay import LAG, Delay, delay_of, without_delay
@@ -207,7 +208,7 @@ def _scale_stage(
     return judge_stage(
         Stage(
             "drive", "accepted", why,
-            tuple(f"{joint}.effort_scale" for joint in joints), None, EXCLUDES["drive"],
+            tuple(f"{joint}.{EffortScale.id}" for joint in joints), None, EXCLUDES["drive"],
         ),
         HeldOut(_mean_relative(before.errors), _mean_relative(after.errors), "relative effort"),
     )  # fmt: skip

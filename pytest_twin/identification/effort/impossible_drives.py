@@ -6,7 +6,7 @@ import numpy as np
 
 from pytest_twin.identification.effort.essential_parameters import EssentialParameters
 from pytest_twin.identification.effort.input_mistakes import InputMistake
-from pytest_twin.identification.full_parameters import NOT_NEGATIVE
+from pytest_twin.identification.full_parameters import is_positive
 from pytest_twin.identification.regressor import BaseParameters
 
 
@@ -21,7 +21,7 @@ def impossible_drives(base: BaseParameters, fitted: EssentialParameters) -> list
     for i, value, half in zip(fitted.kept, solution.values, solution.half_width, strict=True):
         column = base.columns[base.independent[i]]
         alone = np.count_nonzero(base.combination[i]) == 1
-        if alone and column.kind in NOT_NEGATIVE and value + half < 0.0:
+        if alone and is_positive(column.kind) and value + half < 0.0:
             found.append(InputMistake(
                 column.joint,
                 f"{column.words} is negative: {value:.3g} ± {half:.2g} {column.unit}; the written "

@@ -9,6 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.friction import CoulombFriction, ViscousFriction
+from pytest_twin.effects.rigid_body import Armature
+from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.identification.effort.filtering import choose_filter
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, solve
 from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
@@ -94,7 +97,7 @@ def find_mistakes(
         std = np.maximum(alone.std[:3], 1e-300)
         negative = max(-viscous / std[1], -dry / std[2]) > _SURE and min(viscous, dry) < 0
         negative = negative and max(viscous / std[1], dry / std[2]) < _SURE
-        unscaled = any(c.joint == joint and c.kind == "effort_scale" for c in regressor.columns)
+        unscaled = any(c.joint == joint and c.kind == EffortScale.id for c in regressor.columns)
         if negative:
             found.append(InputMistake(
                 joint,
@@ -279,15 +282,15 @@ def _alone_problem(
     """Columns of one joint: rigid bodies, viscous and dry friction, constant effort, armature."""
     name = regressor.joints[joint]
     at = {c.kind: i for i, c in enumerate(regressor.columns) if c.joint == name}
-    rigid = np.array([c.is_inertial or c.kind == "effort_scale" for c in regressor.columns])
+    rigid = np.array([c.is_inertial or c.kind == EffortScale.id for c in regressor.columns])
     weights: FloatArray = np.where(rigid, regressor.prior, 0.0)
-    if "effort_scale" in at:
-        weights[at["effort_scale"]] = 1.0
+    if EffortScale.id in at:
+        weights[at[EffortScale.id]] = 1.0
     columns = np.concatenate([
         np.stack([
             s.matrix[:, joint] @ weights,
             *(s.matrix[:, joint, at[kind]] for kind in
-              ("viscous_friction", "coulomb_friction", "effort_bias", "armature")),
+              (ViscousFriction.id, CoulombFriction.id, EffortBias.id, Armature.id)),
         ], axis=1)
         for s in samples
     ])  # fmt: skip

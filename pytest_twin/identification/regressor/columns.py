@@ -5,30 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from pytest_twin.effects import Effect, catalogue, in_order_of_fields
 from pytest_twin.effects.base import Quantity, si_unit
+from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.realization.inverse_dynamics import INERTIAL
 
 _SECOND_MOMENTS = frozenset(name for name in INERTIAL if name.startswith("I"))
-_JOINT: tuple[tuple[str, str, Quantity], ...] = (
-    # (effect of the catalogue, symbol of the literature, quantity of its coefficient)
-    ("armature", "Ia", "inertia"),
-    ("viscous_friction", "fv", "damping"),
-    ("coulomb_friction", "fs", "effort"),
-    ("effort_bias", "off", "effort"),
-)
-_IN_CURRENT = ["A*s^2/rad", "A*s/rad", "A", "A"]
-"""Units of drive parameters if the effort is a current; per m for prismatic joints."""
 _COUPLED: tuple[tuple[str, str, Quantity], ...] = (
     ("coupled_armature", "Iam", "inertia"),
     ("coupled_viscous_friction", "fvm", "damping"),
     ("coupled_coulomb_friction", "fsm", "effort"),
 )
 _MEANING = {
-    "armature": "armature (reflected rotor inertia)",
-    "viscous_friction": "viscous friction",
-    "coulomb_friction": "Coulomb friction",
-    "effort_bias": "constant effort",
-    "effort_scale": "recorded effort per unit of the model's effort",
+    EffortBias.id: "constant effort",
+    EffortScale.id: "recorded effort per unit of the model's effort",
     "coupled_armature": "armature that a shared motor couples into",
     "coupled_viscous_friction": "viscous friction that a shared motor couples into",
     "coupled_coulomb_friction": "Coulomb friction of the motor shared by",
@@ -59,8 +49,8 @@ class Column:
 
     Attributes:
         joint: joint that it belongs to; of an inertial parameter, the joint that moves the link.
-        kind: ``Ixx`` to ``m`` (see ``INERTIAL``), or an effect: ``armature``, ``viscous_friction``,
-            ``coulomb_friction``, ``effort_bias``; ``coupled_...`` where two joints share a motor.
+        kind: ``Ixx`` to ``m`` (see ``INERTIAL``), or one of :func:`drive_effects`;
+            ``coupled_...`` where two joints share a motor.
         symbol: symbol in the literature, such as ``Izz1``, ``Ia1``, ``fv1``, ``fs1``.
         unit: unit of its value.
         partner: other joint of a shared motor, else empty.
@@ -80,10 +70,11 @@ class Column:
     @property
     def words(self) -> str:
         """Description of the parameter, as a noun phrase."""
+        meaning = _MEANING.get(self.kind) or catalogue()[self.kind].parameters[0].meaning
         if self.partner:
-            return f"{_MEANING[self.kind]} '{self.partner}' and '{self.joint}'"
+            return f"{meaning} '{self.partner}' and '{self.joint}'"
         link = f"of the link of '{self.joint}'" if self.is_inertial else f"of '{self.joint}'"
-        return f"{_MEANING[self.kind]} {link}"
+        return f"{meaning} {link}"
 
     @property
     def is_inertial(self) -> bool:
@@ -116,15 +107,16 @@ def columns(
             ]
         if joint in joints:
             slide = slides[joints.index(joint)]
-            units = [si_unit(quantity, slide) for _, _, quantity in _JOINT]
             if joint in unscaled:
                 effort = si_unit("effort", slide)
-                found.append(Column(joint, "effort_scale", f"ks{number}", f"A/({effort})"))
-                units = _IN_CURRENT
+                found.append(Column(joint, EffortScale.id, f"ks{number}", f"A/({effort})"))
             found += [
-                Column(joint, kind, f"{symbol}{number}", unit)
-                for (kind, symbol, _), unit in zip(_JOINT, units, strict=True)
-            ]
+                Column(
+                    joint, effect.id, f"{effect.regressor_symbol}{number}",
+                    _unit_of_drive(effect.parameters[0].quantity, slide, joint in unscaled),
+                )
+                for effect in drive_effects()
+            ]  # fmt: skip
     for motor in shared:
         number = order.index(motor.joint) + 1
         slide = slides[joints.index(motor.joint)]
@@ -133,6 +125,27 @@ def columns(
             for kind, symbol, quantity in _COUPLED
         ]
     return tuple(found)
+
+
+def drive_effects() -> list[Effect]:
+    """Return the effects in which the effort of a joint's drive is linear.
+
+    Those of the model's joints come first, in the order of the literature: Ia, fv, fs.
+    """
+    return in_order_of_fields(e for e in catalogue().values() if e.regressor_symbol)
+
+
+def _unit_of_drive(quantity: Quantity, slide: bool, in_current: bool) -> str:
+    """Unit of a drive's parameter; with A for N*m or N if the recorded effort is a current.
+
+    An inertia is an effort per acceleration.
+    """
+    if not in_current:
+        return si_unit(quantity, slide)
+    per_motion = {"inertia": ("A*s^2/rad", "A*s^2/m")}.get(quantity)
+    if per_motion is not None:
+        return per_motion[slide]
+    return si_unit(quantity, slide).replace("N" if slide else "N*m", "A", 1)
 
 
 def _inertial_unit(kind: str) -> str:

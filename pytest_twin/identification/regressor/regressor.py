@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects import Effect, mjcf_fields
+from pytest_twin.effects.rigid_body import Armature
+from pytest_twin.effects.sensing import EffortScale
 from pytest_twin.errors import SpecError
-from pytest_twin.identification.regressor.columns import Column, SharedMotor, columns
+from pytest_twin.identification.regressor.columns import (
+    Column,
+    SharedMotor,
+    columns,
+    drive_effects,
+)
 from pytest_twin.realization.driven_base import BaseStates
 from pytest_twin.realization.inverse_dynamics import INERTIAL, InverseDynamics
 from pytest_twin.realization.named_model import NamedModel
-
-_KINDS = ("armature", "viscous_friction", "coulomb_friction", "effort_bias")
 
 
 class Regressor:
     """Regressor with ``effort = matrix(motion) @ parameters``, on the joint side of the gears.
 
-    effort = rigid bodies + Ia a + fv v + fs sign(v) + off (Khalil, Dombre, Modeling,
+    effort = rigid bodies + Ia a + fv v + fs sign(v) + off, and the columns of further effects with
+    a symbol (Khalil, Dombre, Modeling,
     Identification and Control of Robots, 2002, ch. 12). A motor that two joints share adds
     Iam a_other, fvm v_other to each of both and fsm sign(v_own + v_other) to both (Gautier, ICRA
     1988, for the coupled wrist of the TX series).
@@ -102,11 +109,12 @@ class Regressor:
             row = self.joints.index(joint)
             scale = found[:, row] @ np.where(self._rigid, self.prior, 0.0)
             found[:, row] = 0.0
-            found[:, row, self._at[joint, "effort_scale"]] = scale
-        own = (acceleration, velocity, np.sign(velocity), np.ones_like(velocity))
-        for row, joint in enumerate(self.joints):
-            for kind, values in zip(_KINDS, own, strict=True):
-                found[:, row, self._at[joint, kind]] = values[:, row]
+            found[:, row, self._at[joint, EffortScale.id]] = scale
+        for row, joint, effect in self._drives():
+            of_drive = effect.regressor_column(
+                position[:, row], velocity[:, row], acceleration[:, row]
+            )
+            found[:, row, self._at[joint, effect.id]] = of_drive.effort
         for motor in self._shared:
             one, two = self.joints.index(motor.joint), self.joints.index(motor.other)
             ratio = motor.ratio
@@ -165,13 +173,18 @@ class Regressor:
             nominal = self._dynamics.derivatives(*motion, self._links_of(self.prior), base)
             for joint in self._unscaled:
                 row = self.joints.index(joint)
-                scale = parameters[self._at[joint, "effort_scale"]]
+                scale = parameters[self._at[joint, EffortScale.id]]
                 for own, per_scale in zip(found, nominal, strict=True):
                     own[:, row] = scale * per_scale[:, row]
-        _, by_velocity, by_acceleration = found
-        for row, joint in enumerate(self.joints):
-            by_velocity[:, row, row] += parameters[self._at[joint, "viscous_friction"]]
-            by_acceleration[:, row, row] += parameters[self._at[joint, "armature"]]
+        by_position, by_velocity, by_acceleration = found
+        for row, joint, effect in self._drives():
+            value = parameters[self._at[joint, effect.id]]
+            of_drive = effect.regressor_column(
+                position[:, row], velocity[:, row], acceleration[:, row]
+            )
+            by_position[:, row, row] += value * of_drive.by_position
+            by_velocity[:, row, row] += value * of_drive.by_velocity
+            by_acceleration[:, row, row] += value * of_drive.by_acceleration
         for motor in self._shared:
             one, two = self.joints.index(motor.joint), self.joints.index(motor.other)
             for kind, own in (
@@ -198,7 +211,13 @@ class Regressor:
             dof = realization.joint_dof_index(joint)
             if joint in self._unscaled:
                 continue
-            values[self._at[joint, "armature"]] = self._dynamics.armature[row]
-            values[self._at[joint, "viscous_friction"]] = model.dof_damping[dof]
-            values[self._at[joint, "coulomb_friction"]] = model.dof_frictionloss[dof]
+            for kind, field in mjcf_fields().items():
+                values[self._at[joint, kind]] = getattr(model, f"dof_{field}")[dof]
+            values[self._at[joint, Armature.id]] = self._dynamics.armature[row]
         return values
+
+    def _drives(self) -> Iterator[tuple[int, str, Effect]]:
+        """Row, joint and effect of each column of a drive."""
+        for row, joint in enumerate(self.joints):
+            for effect in drive_effects():
+                yield row, joint, effect

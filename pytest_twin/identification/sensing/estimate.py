@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.timing import SensorDelay
 from pytest_twin.formats.sensor_record import CAMERA, GROUPS, IMU, sensor_fields
 from pytest_twin.identification.sensing.camera_frames import CameraTrial, delay_of, turn_errors
 from pytest_twin.identification.sensing.sensor_recordings import SensorTrial
@@ -129,7 +130,7 @@ def estimate_camera(fit: Sequence[CameraTrial], held_out: Sequence[CameraTrial])
         "lost": timing.lost, "mount": found.mount,
     }  # fmt: skip
     return SensorEstimate(
-        CAMERA, ("turn",), ("rad",), ("sensor_delay",), np.array([timing.delay]), ("s",),
+        CAMERA, ("turn",), ("rad",), (SensorDelay.id,), np.array([timing.delay]), ("s",),
         np.array([[found.deviation**2]]),
         np.asarray(student.ppf(0.975, [max(1, found.blocks - 1)])), (),
         fields,

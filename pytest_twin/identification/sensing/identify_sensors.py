@@ -129,7 +129,7 @@ def identify_sensors(
         if noise is not None:
             models[sensor.name]["noise"] = dict(zip(axes, noise, strict=True))
         progress(done / len(sensors))
-    write_fitted(folder, realization, {}, {})
+    write_fitted(folder, realization)
     return {
         "schema": 1,
         "verdict": verdict_of(stages, better, bool(names["held_out"]), True),

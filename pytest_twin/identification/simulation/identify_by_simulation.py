@@ -25,7 +25,6 @@ from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel
 from pytest_twin.identification.simulation.equation_error import first_values
 from pytest_twin.identification.simulation.stage_effects import (
-    ALL_STAGES,
     StagePlan,
     nuisance_of,
     start,
@@ -78,7 +77,7 @@ def identify_simulation(
     inherited: PatchedModel | None = None,
     threads: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
-    plan: StagePlan = ALL_STAGES,
+    plan: StagePlan | None = None,
 ) -> SimulationResult:
     """Fit effects stage by stage; a stage that is accepted is frozen.
 
@@ -87,13 +86,14 @@ def identify_simulation(
         inherited: effects of an earlier diagnosis that the MJCF does not contain.
         threads: number of threads of the simulation, 0 for all cores.
         progress: called with the fraction done.
-        plan: stages that are fitted, and their effects.
+        plan: stages that are fitted, and their effects; by default all.
 
     Raises:
         RecordingError: the model and the recordings share no joint.
         SimulationError: the model diverges on every recording.
     """
     notes: list[str] = []
+    plan = plan or StagePlan()
     setup = ModelSetup.of(realization, inherited, threads)
     fit_alone = replace(trials, held_out=())
     with np.errstate(over="ignore", invalid="ignore"):

@@ -9,33 +9,39 @@ from itertools import product
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.effects import catalogue
+from pytest_twin.effects import Effect, Parameter, catalogue, in_order_of_fields
 from pytest_twin.estimation.hypothesis import Hypothesis, Scales, Term
 from pytest_twin.identification.stages import StageName
 
-SIMULATED: Mapping[StageName, tuple[str, ...]] = {
-    "delay": ("command_delay",),
-    "encoder": ("encoder_bias",),
-    "gravity": ("payload",),
-    "inertia": ("armature",),
-    "friction": ("viscous_friction", "coulomb_friction"),
-    "drive": ("controller_gain",),
-}
-"""Stage -> effects that it fits, at every joint or once for the robot."""
-FURTHER: Mapping[StageName, tuple[str, ...]] = {
-    "friction": ("stribeck_friction", "load_dependent_friction", "motor_load_friction"),
-    "drive": (
-        "dead_zone", "torque_rolloff", "torque_speed_limit", "torque_saturation",
-        "watchdog_timeout", "actuator_lag",
-    ),
-}  # fmt: skip
-"""Stage -> effects that it adds if they reduce the held-out error."""
-AFTER_EFFORT: Mapping[StageName, tuple[str, ...]] = {
-    "drive": (*FURTHER["drive"], "asymmetric_friction", "command_delay"),
-    "closed_loop": FURTHER["friction"],
-}
-"""The same as ``FURTHER`` where measured effort has determined inertia and friction. The constant
-effort of a drive acts like friction that differs between the directions."""
+SIMULATED: tuple[StageName, ...] = ("delay", "encoder", "gravity", "inertia", "friction", "drive")
+"""Stages that are fitted by simulation, in order."""
+
+
+def further_effects(stage: StageName) -> tuple[str, ...]:
+    """Return the effects that a stage adds if they reduce the held-out error."""
+    return tuple(
+        effect.id
+        for effect in catalogue().values()
+        if effect.stage == stage
+        and not effect.basic_modes
+        and effect.candidate
+        and effect.shows_in_motion_alone
+    )
+
+
+def basic_effects(stage: StageName) -> tuple[str, ...]:
+    """Return the effects that a stage fits from the start, at every joint or for the robot."""
+    basic = (e for e in catalogue().values() if e.stage == stage and e.basic_modes)
+    return tuple(effect.id for effect in in_order_of_fields(basic))
+
+
+def _directional_effects() -> tuple[str, ...]:
+    """Return the friction that differs between the directions, as a constant effort of a drive."""
+    return tuple(
+        effect.id
+        for effect in catalogue().values()
+        if effect.family == "friction" and any(p.difference_of for p in effect.parameters)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,30 +54,47 @@ class StagePlan:
         known_drives: joints that keep the model's drive.
     """
 
-    order: tuple[StageName, ...] = tuple(SIMULATED)
-    further: Mapping[StageName, tuple[str, ...]] = field(default_factory=lambda: FURTHER)
+    order: tuple[StageName, ...] = SIMULATED
+    further: Mapping[StageName, tuple[str, ...]] = field(
+        default_factory=lambda: {stage: further_effects(stage) for stage in SIMULATED}
+    )
     known_drives: frozenset[str] = frozenset()
 
+    @classmethod
+    def after_effort(cls, known_drives: frozenset[str]) -> StagePlan:
+        """Return the plan where measured effort has determined inertia and friction."""
+        return cls(
+            ("drive",),
+            {
+                "drive": (
+                    *further_effects("drive"),
+                    *basic_effects("delay"),
+                    *_directional_effects(),
+                ),
+                _TOGETHER: further_effects("friction"),
+            },
+            known_drives,
+        )
 
-ALL_STAGES = StagePlan()
-_OF_EFFORT_DRIVES = {"controller_gain": "torque_constant"}
-"""Effect -> effect that replaces it for effort drives, which have no gains."""
-_NUISANCE = ("viscous_friction", "coulomb_friction", "controller_gain", "armature")
-"""Nuisance effects, which often compensate for others. They are free while another stage is
+    @property
+    def last(self) -> tuple[str, ...]:
+        """Effects that are tried after all others, while a residual remains."""
+        return further_effects(_TOGETHER)
+
+    def stage_that_adds(self, effect: str) -> StageName | None:
+        """Return the stage that adds a further effect; None for a basic one."""
+        for stage, effects in self.further.items():
+            if effect in effects:
+                return stage
+        return _TOGETHER if effect in self.last else None
+
+
+_TOGETHER: StageName = "closed_loop"
+_NUISANCE: tuple[StageName, ...] = ("friction", "drive", "inertia")
+"""Stages whose basic effects often compensate for others. They are free while another stage is
 fitted, and their values are discarded."""
-
 _GAIN, _VISCOUS, _DRY, _ARMATURE = range(4)
 """Columns of the first values: gain of the drive, viscous friction, dry friction and armature."""
-_FIRST: Mapping[tuple[str, str], int] = {
-    ("controller_gain", "stiffness_error"): _GAIN,
-    ("controller_gain", "damping_error"): _GAIN,
-    ("torque_constant", "relative_error"): _GAIN,
-    ("viscous_friction", "coefficient"): _VISCOUS,
-    ("coulomb_friction", "coulomb"): _DRY,
-    ("stribeck_friction", "coulomb"): _DRY,
-    ("armature", "inertia"): _ARMATURE,
-}
-"""Effect and parameter -> column of the first values."""
 
 EXCLUDES: Mapping[StageName, str] = {
     "delay": "damping, dry friction, gains and armature were free while the delay was fitted",
@@ -85,36 +108,48 @@ EXCLUDES: Mapping[StageName, str] = {
 
 
 def terms_of(stage: StageName, modes: Sequence[str]) -> list[Term]:
-    """Return the terms that a stage fits.
+    """Return the terms that a stage fits from the start.
 
     Args:
         modes: (joints,) command mode of each joint's drive.
     """
-    return terms_at(SIMULATED[stage], modes)
+    return _terms_at({name: catalogue()[name].basic_modes for name in basic_effects(stage)}, modes)
 
 
 def nuisance_of(stage: StageName, frozen: Sequence[Term], modes: Sequence[str]) -> list[Term]:
     """Return nuisance terms of a stage: neither frozen nor another form of its own terms."""
     if stage == "drive":
         return []
-    own = set(SIMULATED[stage]) | {term.effect for term in frozen}
-    dry = {"coulomb_friction", "stribeck_friction"}
-    names = [n for n in _NUISANCE if n not in own and not (n in dry and own & dry)]
-    return terms_at(names, modes)
+    present = set(basic_effects(stage)) | {term.effect for term in frozen}
+    has_dry_friction = any(catalogue()[name].dry_friction_level for name in present)
+    return [
+        term
+        for other in _NUISANCE
+        for term in terms_of(other, modes)
+        if term.effect not in present and not (term.law.dry_friction_level and has_dry_friction)
+    ]
 
 
-def terms_at(names: Sequence[str], modes: Sequence[str]) -> list[Term]:
-    """Return effects as terms: at each joint whose drive can have them, or once for the robot."""
-    found = []
-    for name in names:
+def terms_at(
+    names: Sequence[str], modes: Sequence[str], slides: Sequence[bool] | None = None
+) -> list[Term]:
+    """Return effects as terms: at each joint whose drive can have them, or once for the robot.
+
+    Args:
+        slides: (joints,) whether each joint is prismatic; periodic effects are at hinges.
+    """
+    terms = _terms_at({name: catalogue()[name].modes for name in names}, modes)
+    return [t for t in terms if not (t.law.periodic and slides is not None and slides[t.joint])]
+
+
+def _terms_at(modes_of: Mapping[str, tuple[str, ...]], modes: Sequence[str]) -> list[Term]:
+    terms = []
+    for name, possible in modes_of.items():
         if catalogue()[name].scope == "robot":
-            found.append(Term(name, -1))
-            continue
-        for joint, mode in enumerate(modes):
-            own = _OF_EFFORT_DRIVES.get(name, name) if mode == "effort" else name
-            if own in catalogue() and mode in catalogue()[own].modes:
-                found.append(Term(own, joint))
-    return found
+            terms.append(Term(name, -1))
+        else:
+            terms += [Term(name, joint) for joint, mode in enumerate(modes) if mode in possible]
+    return terms
 
 
 def starts_of(effect: str) -> list[tuple[float, ...]]:
@@ -146,13 +181,24 @@ def start(terms: Sequence[Term], scales: Scales, first: FloatArray) -> Hypothesi
     for term in terms:
         own = first[term.joint] if term.joint >= 0 else np.full(first.shape[1], np.nan)
         for p in term.parameters:
-            value = _FIRST.get((term.effect, p.name))
-            known = np.nan if value is None else own[value]
+            column = _first_column(term.law, p)
+            known = np.nan if column is None else own[column]
             if np.isfinite(known):
-                known = known - 1.0 if value == _GAIN else known / scales.value(p, term.joint)
+                known = known - 1.0 if column == _GAIN else known / scales.value(p, term.joint)
                 theta.append(float(np.clip(known, p.lower, p.upper)))
             elif p.neutral is None:
                 theta.append(p.starts[0] if p.choice else p.starts[len(p.starts) // 2])
             else:
                 theta.append(p.neutral)
     return Hypothesis(tuple(terms), np.array(theta))
+
+
+def _first_column(effect: Effect, parameter: Parameter) -> int | None:
+    """Return the column of the first values that has a parameter; None without one."""
+    if parameter.relation == "relative":
+        return _GAIN if effect.stage == "drive" else None
+    if parameter.relation != "added":
+        return None
+    if parameter.name == effect.dry_friction_level:
+        return _DRY
+    return {"damping": _VISCOUS, "inertia": _ARMATURE}.get(parameter.quantity)

@@ -112,7 +112,11 @@ def with_possible_totals(problem: Problem, hypothesis: Hypothesis) -> Hypothesis
 
 
 def add_effects(
-    problem: Problem, base: Hypothesis, effects: Sequence[str], modes: Sequence[str]
+    problem: Problem,
+    base: Hypothesis,
+    effects: Sequence[str],
+    modes: Sequence[str],
+    failures: int | None = None,
 ) -> Hypothesis:
     """Add further effects to a fit, one in each round (forward selection).
 
@@ -124,13 +128,17 @@ def add_effects(
         base: fitted terms of the stage, with the nuisance terms that are free too.
         effects: ids that may be added.
         modes: (joints,) command mode of each joint's drive.
+        failures: number of consecutive effects that reduce no held-out error after which the
+            selection ends; None to try all.
     """
     present = {term.effect for term in base.terms}
-    untried = [name for name in effects if name not in present and terms_at([name], modes)]
-    while untried:
+    slides = problem.simulator.layout.slides
+    untried = [name for name in effects if name not in present and terms_at([name], modes, slides)]
+    failed = 0
+    while untried and failed != failures:
         here = problem.at(base)
         stepped = _try_one_step(
-            here, base, {n: _with_effect_at_all_joints(base, n, modes) for n in untried}
+            here, base, {n: _with_effect_at_all_joints(base, n, modes, slides) for n in untried}
         )
         untried = [name for name in untried if name in stepped]
         if not untried:
@@ -143,8 +151,9 @@ def add_effects(
         untried.remove(best_of_step[best])
         better = refit(problem, with_possible_totals(problem, tried[best].hypothesis))
         merged = take_better_terms(problem, base, better)
+        failed += 1
         if set(merged.terms) != set(base.terms):
-            base = merged
+            base, failed = merged, 0
     return base
 
 
@@ -230,18 +239,20 @@ def _try_one_step(
 
 
 def _with_effect_at_all_joints(
-    base: Hypothesis, name: str, modes: Sequence[str]
+    base: Hypothesis, name: str, modes: Sequence[str], slides: Sequence[bool]
 ) -> list[Hypothesis]:
     """Return the base with an effect at all its joints, one hypothesis for each starting value.
 
     The effect replaces its special cases in the base. Starts are needed from the base and from the
     model's own values: without the limit of a drive, a fit of its gain may end far off.
     """
-    found = _with_effect(base, name, modes)
+    found = _with_effect(base, name, modes, slides)
     bare = base.with_theta(
         np.concatenate([np.zeros(0), *(_neutral(term, base) for term in base.terms)])
     )
-    return found if _has_values_of(bare, base) else [*found, *_with_effect(bare, name, modes)]
+    return (
+        found if _has_values_of(bare, base) else [*found, *_with_effect(bare, name, modes, slides)]
+    )
 
 
 def _neutral(term: Term, base: Hypothesis) -> FloatArray:
@@ -262,9 +273,11 @@ def _has_values_of(one: Hypothesis, base: Hypothesis) -> bool:
     )
 
 
-def _with_effect(base: Hypothesis, name: str, modes: Sequence[str]) -> list[Hypothesis]:
+def _with_effect(
+    base: Hypothesis, name: str, modes: Sequence[str], slides: Sequence[bool]
+) -> list[Hypothesis]:
     """The base with an effect at all its joints, for each starting value."""
-    terms = [term for term in terms_at([name], modes) if term not in base.terms]
+    terms = [term for term in terms_at([name], modes, slides) if term not in base.terms]
     special = {
         t: base.theta[base.slice_of(t)]
         for t in base.terms

@@ -19,7 +19,6 @@ from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.identification.simulation.stage_effects import (
-    ALL_STAGES,
     EXCLUDES,
     StagePlan,
     nuisance_of,
@@ -38,6 +37,9 @@ from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_s
 from pytest_twin.time_limit import skips
 
 _TOGETHER: StageName = "closed_loop"
+_FAILURES = 2
+"""Number of consecutive effects without a place in a stage that end their selection, when they
+reduce no held-out error: the next ones explain less of the fitted recordings."""
 
 
 @dataclass
@@ -61,7 +63,7 @@ class StagedFit:
     prepared: PreparedProblem
     modes: Sequence[str]
     first: FloatArray
-    plan: StagePlan = ALL_STAGES
+    plan: StagePlan = field(default_factory=StagePlan)
     found: Hypothesis = EMPTY
     stage_of: dict[Term, StageName] = field(default_factory=dict)
     stages: dict[StageName, Stage] = field(default_factory=dict)
@@ -80,10 +82,12 @@ class StagedFit:
         _attempt(f"stage {_TOGETHER}", self._fit_together)
         done = len(self.plan.order) + 1
         progress(done / steps)
-        if not several or not self.found.terms or _TOGETHER not in self.stages:
+        if _TOGETHER not in self.stages:
             return
-        if self._error(self.found) > VERDICT.identifiable:
+        if several and self.found.terms and self._error(self.found) > VERDICT.identifiable:
             self._fit_again(lambda stages: progress((done + stages) / steps))
+        if self._error(self.found) > VERDICT.identifiable:
+            _attempt("effects that no stage has", self._add_last)
 
     def _fit_stage(self, name: StageName) -> None:
         self.stages[name], accepted = self._stage(name, self.found)
@@ -94,11 +98,6 @@ class StagedFit:
     @property
     def _problem(self) -> Problem:
         return self.prepared.problem
-
-    @property
-    def _stage_of_further(self) -> dict[str, StageName]:
-        """Further effect -> stage that adds it."""
-        return {effect: name for name, effects in self.plan.further.items() for effect in effects}
 
     def _error(self, hypothesis: Hypothesis) -> float:
         return held_out_error(self._problem, hypothesis)
@@ -168,7 +167,7 @@ class StagedFit:
         # What a frozen stage has taken up may hide an effect: with all parameters free it shows.
         # A single stage has just tried its own effects with all parameters free.
         tried = self.plan.further.get(self.plan.order[0], ()) if len(self.plan.order) == 1 else ()
-        untried = [effect for effect in self._stage_of_further if effect not in tried]
+        untried = [e for effects in self.plan.further.values() for e in effects if e not in tried]
         whole = add_effects(problem, moved, untried, self.modes)
         held = HeldOut(before, self._error(whole), "noise floors")
         stage = judge_stage(
@@ -182,7 +181,7 @@ class StagedFit:
             return
         moved_terms = self._moved_terms(whole)
         for term in whole.terms:
-            self.stage_of.setdefault(term, self._stage_of_further.get(term.effect, _TOGETHER))
+            self.stage_of.setdefault(term, self.plan.stage_that_adds(term.effect) or _TOGETHER)
         for name in dict.fromkeys(self.stage_of[t] for t in moved_terms):
             if name == _TOGETHER:
                 continue
@@ -244,11 +243,29 @@ class StagedFit:
             if name in self.stages:
                 words = self._words(name, self.found)
                 self.stages[name] = replace(self.stages[name], parameters=words)
+        self._judge_together(before, error)
+
+    def _judge_together(self, before: float, after: float) -> None:
+        """Judge the stage of all effects again, with errors in noise floors."""
         together = self.stages[_TOGETHER]
-        assert together.held_out is not None
-        held = HeldOut(together.held_out.before, error, "noise floors")
+        held = together.held_out
+        held = HeldOut(before if held is None else held.before, after, "noise floors")
         words = self._words(_TOGETHER, self.found)
         self.stages[_TOGETHER] = judge_stage(replace(together, why="", parameters=words), held)
+
+    def _add_last(self) -> None:
+        """Add effects that no stage has, if they lower the held-out error."""
+        before = self._error(self.found)
+        whole = add_effects(
+            self._problem, self.found, self.plan.last, self.modes, failures=_FAILURES
+        )
+        after = self._error(whole)
+        if after > (1.0 - LEAST_GAIN) * before:
+            return
+        for term in whole.terms:
+            self.stage_of.setdefault(term, _TOGETHER)
+        self.found = whole
+        self._judge_together(before, after)
 
     def _refit(self, name: StageName) -> None:
         """Fit a stage again, and keep the result if the held-out error falls."""
@@ -256,7 +273,7 @@ class StagedFit:
         others = self.found.without(*(t for t in self.found.terms if self.stage_of[t] == name))
         # Further effects stay as they are. Friction, gains and armature, which compensate for
         # one another, are free again.
-        kept = [t for t in others.terms if t.effect in self._stage_of_further]
+        kept = [t for t in others.terms if self.plan.stage_that_adds(t.effect)]
         _, accepted = self._stage(name, others.without(*(set(others.terms) - set(kept))))
         if not accepted.terms:
             return

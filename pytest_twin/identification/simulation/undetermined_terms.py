@@ -19,7 +19,7 @@ def undetermined_terms(
     problem: Problem,
     found: Hypothesis,
     modes: Sequence[str],
-    order: Sequence[StageName] = tuple(SIMULATED),
+    order: Sequence[StageName] = SIMULATED,
 ) -> dict[Term, StageName]:
     """Return the terms that may act unnoticed, with the stage that fits them.
 
