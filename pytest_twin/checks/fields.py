@@ -91,6 +91,20 @@ def quantity(golden: Golden, field: str, value: object, unit: str) -> float:
         ) from None
 
 
+def seconds(golden: Golden, field: str, value: object, most: float = 60.0) -> float:
+    """Convert ``value`` to a duration above 0 s and up to ``most``, s.
+
+    Raises:
+        SpecError: it is no such duration.
+    """
+    duration = quantity(golden, field, value, "s")
+    if not 0.0 < duration <= most:
+        raise spec_error(
+            golden, field, "out of bounds", value=duration, unit="s", expected=f"0 to {most:g} s"
+        )
+    return duration
+
+
 def tolerance(golden: Golden, name: str, why: str) -> Quantity:
     """Return the golden's tolerance ``name``, in its SI unit.
 

@@ -16,6 +16,7 @@ from pytest_twin.checks.fields import (
     POSITION_UNIT,
     known_name,
     quantity,
+    seconds,
     spec_error,
 )
 from pytest_twin.checks.poses import POSE_SCHEMA, REFERENCE, keyframe_parts, resolve_pose
@@ -118,7 +119,7 @@ class Settling(Check):
                 "the model has no named hinge or slide joint to watch",
                 expected="at least one; give joints a name in the model",
             )
-        duration = _positive(golden, "stimulus.duration", stimulus["duration"])
+        duration = seconds(golden, "stimulus.duration", stimulus["duration"], most=600.0)
         pose = resolve_pose(golden, realization, stimulus.get("pose", REFERENCE), "stimulus.pose")
         model = simulate.prepare_model(
             realization,
@@ -210,15 +211,6 @@ class Settling(Check):
         from pytest_twin.checks.settling_proposals import first_specs
 
         return first_specs(self, realization)
-
-
-def _positive(golden: Golden, field: str, value: object) -> float:
-    seconds = quantity(golden, field, value, "s")
-    if not 0.0 < seconds <= 600.0:
-        raise spec_error(
-            golden, field, "out of bounds", value=seconds, unit="s", expected="0 to 600 s"
-        )
-    return seconds
 
 
 def _joints(
