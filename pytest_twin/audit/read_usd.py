@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pytest_twin.audit.asset import (
     Actuator,
@@ -31,6 +30,7 @@ from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.usd import import_openusd, missing
 from pytest_twin.realization.usd_names import display_name
+from pytest_twin.realization.usd_read import rotation
 
 WORLD = "world"
 _MOST_LAYERS = 200
@@ -177,7 +177,7 @@ class _Reader:
             if np.isfinite(com).all():
                 body.com = com
             if moments.any():
-                axes = _rotation(api.GetPrincipalAxesAttr().Get())
+                axes = rotation(api.GetPrincipalAxesAttr().Get())
                 scale = self.kilogram * self.metre**2
                 body.inertia = axes @ np.diag(moments * scale) @ axes.T
                 # A mass of 0 means that it is computed from the shapes, so it is not stated.
@@ -265,7 +265,7 @@ class _Reader:
         api = UsdPhysics.Joint(prim)
         side = "0" if flipped else "1"
         anchor = np.array(getattr(api, f"GetLocalPos{side}Attr")().Get(), dtype=np.float64)
-        turned = _rotation(getattr(api, f"GetLocalRot{side}Attr")().Get())
+        turned = rotation(getattr(api, f"GetLocalRot{side}Attr")().Get())
         axis = np.array([1.0, 0.0, 0.0])
         lower = upper = None
         factor = math.pi / 180.0 if kind == "hinge" else self.metre
@@ -438,11 +438,3 @@ def _lines(path: Path) -> dict[str, int]:
         if match is not None:
             found.setdefault(match[1], number)
     return found
-
-
-def _rotation(quaternion: Any) -> Vector:
-    """Return the (3, 3) rotation of a Gf quaternion; the identity for one of length 0."""
-    values = np.array([*quaternion.GetImaginary(), quaternion.GetReal()], dtype=np.float64)
-    if not np.isfinite(values).all() or np.linalg.norm(values) < 1e-6:
-        return np.eye(3)
-    return np.asarray(Rotation.from_quat(values).as_matrix())

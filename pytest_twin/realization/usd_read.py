@@ -208,7 +208,7 @@ class _Reader:
             mass = float(api.GetMassAttr().Get() or 0.0)
             com = np.array(api.GetCenterOfMassAttr().Get(), dtype=np.float64)
             com = np.where(np.isfinite(com), com, 0.0)
-            axes = _rotation(api.GetPrincipalAxesAttr().Get())
+            axes = rotation(api.GetPrincipalAxesAttr().Get())
             tensor = axes @ np.diag(np.array(api.GetDiagonalInertiaAttr().Get())) @ axes.T
         return TreeBody(name, parent, placement, joint, mass, com, tensor)
 
@@ -369,7 +369,7 @@ def _placement(prim: Any, above: Any) -> Vector:
                 step[:3, 3] = np.array(value, dtype=np.float64)
             elif kind == UsdGeom.XformOp.TypeOrient:
                 step = np.eye(4)
-                step[:3, :3] = _rotation(value)
+                step[:3, :3] = rotation(value)
             else:
                 step = _matrix(operation.GetOpTransform(0.0))
             local = local @ step
@@ -392,7 +392,7 @@ def _matrix(value: Any) -> Vector:
     return matrix
 
 
-def _rotation(quaternion: Any) -> Vector:
+def rotation(quaternion: Any) -> Vector:
     """(3, 3) rotation matrix of a Gf quaternion; identity for length 0."""
     from scipy.spatial.transform import Rotation
 
@@ -406,5 +406,5 @@ def _rotation(quaternion: Any) -> Vector:
 def _frame(position: Any, quaternion: Any) -> Vector:
     pose = np.eye(4)
     pose[:3, 3] = np.array(position, dtype=np.float64)
-    pose[:3, :3] = _rotation(quaternion)
+    pose[:3, :3] = rotation(quaternion)
     return pose
