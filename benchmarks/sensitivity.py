@@ -185,7 +185,7 @@ findings, and parameters within 1 %. A field that no case reads is not shown to 
 influence, and neither is one whose changes were run in some cases only. `tests` is how many tests
 depend on the field: some comparison in them has another outcome with half or twice of the number
 (`python benchmarks/shown_by_tests.py --out DIR tests/diagnosis`; child processes of tests are not
-followed). Revision `{revision}`, {date}.
+followed). Fields without a row were not measured. Revision `{revision}`, {date}.
 
 """
 FACTORS = (0.5, 2.0)

@@ -22,9 +22,9 @@ sys.path.insert(0, str(Path(__file__).parent / "concealed"))
 
 from cases import OUTSIDE_NAMES, make, seeds
 
+from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.locate import TimeAndRegime
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.diagnosis.unnamed_law.fit import fit_free_laws
 from pytest_twin.estimation.hypothesis import EMPTY

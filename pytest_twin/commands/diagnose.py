@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pytest_twin.commands import fleet, json_output, model_files
 from pytest_twin.commands.child_result import child_result
@@ -26,9 +26,6 @@ from pytest_twin.loaded_model import find_model
 from pytest_twin.processor_time import call_began
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
-
-if TYPE_CHECKING:
-    from pytest_twin.diagnosis.diagnose import StructureSearch
 
 HELP = "name the physics that a model lacks, fit it, and measure the gain on held-out recordings"
 EXAMPLES = (
@@ -221,7 +218,6 @@ def diagnose_files(
     request: Mapping[str, Any],
     progress: Callable[[float], None] = lambda fraction: None,
     tell: Callable[[str, str], None] = lambda kind, text: None,
-    find: StructureSearch | None = None,
 ) -> dict[str, Any]:
     """Load, diagnose, write; runs in the child process.
 
@@ -231,7 +227,6 @@ def diagnose_files(
         request: fields of :class:`DiagnosisRequest`.
         progress: called with the fraction done.
         tell: called with states and lines for the terminal.
-        find: another search for effects than that of the command, for its measurement.
 
     Returns:
         The verdict and the lines to print.
@@ -298,7 +293,6 @@ def diagnose_files(
         progress=progress,
         run=diagnosis_run,
         record_folder=Path(asked.folder or asked.out),
-        find=find,
     )
     located = loaded.realization.source.located
     chosen = () if located is None or located.root is None else located.words()

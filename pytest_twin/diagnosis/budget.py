@@ -18,11 +18,8 @@ RESERVED_SHARE, FINAL_SHARE = 0.2, 0.1
 """Shares of the time limit: ``RESERVED_SHARE`` is kept for the steps after the search (final
 parameters, intervals, test recordings, report), ``FINAL_SHARE`` for those after the final
 parameters. With six joints on two cores, imports, reading and the report take 8 to 10 s."""
-COMPARISON_SHARE = 0.25
-"""Share of the time limit that the search leaves for the comparison of its result with other sets
-of effects. A finding without its alternatives is of little use: with one joint, a command delay and
-a sensor delay predict the same. The comparison takes a quarter of the time of a complete
-diagnosis."""
+SEARCH_SHARE = 0.25
+"""Share of the time limit that questions about the signals leave for the search."""
 MAX_SIMULATIONS = 1200
 """Largest number of simulations of all data for all searches of a diagnosis: four times the limit
 of one search. A case with one joint needs 170 to 830."""
@@ -51,7 +48,6 @@ class Budget:
         self.problems: list[Problem] = []
         self._clock = clock
         self._start = clock() if begin is None else begin
-        self._uncounted = 0.0
         self._kept_share = 0.0
         self._limit = simulations
 
@@ -91,7 +87,7 @@ class Budget:
     @property
     def was_short_of_time(self) -> bool:
         """Whether the time may have ended a search."""
-        limit = (1.0 - RESERVED_SHARE - COMPARISON_SHARE) * self.seconds
+        limit = (1.0 - RESERVED_SHARE - SEARCH_SHARE) * self.seconds
         return bool(self.seconds) and self.elapsed > limit
 
     @property
@@ -107,19 +103,9 @@ class Budget:
         """Whether the searches have used all simulations, or those of the present :meth:`part`."""
         return self._used_by_searches > self._limit
 
-    @contextmanager
-    def part(self, share: float) -> Iterator[None]:
-        """Context in which searches may use only a share (0 to 1) of the remaining simulations."""
-        most = self._limit
-        self._limit = self._used_by_searches + share * max(most - self._used_by_searches, 0.0)
-        try:
-            yield
-        finally:
-            self._limit = most
-
     @property
     def _used_by_searches(self) -> float:
-        return self._simulations - self._uncounted
+        return self._simulations
 
     @property
     def _simulations(self) -> float:
@@ -157,15 +143,6 @@ class Budget:
             yield
         finally:
             CHECK.reset(token)
-
-    @contextmanager
-    def uncounted(self) -> Iterator[None]:
-        """Context whose simulations do not count for the limit of the searches."""
-        before = self._simulations
-        try:
-            yield
-        finally:
-            self._uncounted += self._simulations - before
 
     def _check(self) -> None:
         if self.is_out_of_time:

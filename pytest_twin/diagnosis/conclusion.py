@@ -9,42 +9,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from pytest_twin.diagnosis.budget import Budget
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.findings import (
     Explanation,
-    build_explanation,
     held_out_gains,
     limit_contradicted_confidence,
     limit_untested_confidence,
-    order_by_whole_motions,
     with_gains,
     with_unexplained_share,
 )
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.physical_totals import without_negative_totals
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.model_comparison import (
-    FULL_ITERATIONS,
-    RANKING_ITERATIONS,
-    ModelComparison,
-)
-from pytest_twin.diagnosis.search.pruning import PrunedModel, refit_without_each
-from pytest_twin.diagnosis.search_result import (
-    SearchResult,
-    build_problem,
-    joint_errors,
-    residuals_everywhere,
-)
+from pytest_twin.diagnosis.search_result import SearchResult, joint_errors
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.verdict import verdict
 from pytest_twin.errors import RecordingError, SimulationError, TwinError
-from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales, Term
-from pytest_twin.estimation.score import log_likelihood
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 
@@ -60,8 +42,6 @@ class ChosenModel:
         location_window: length in s of the windows in which the unexplained residual is located;
             None if the problem of ``found`` is used.
         notes: one line each, for the reader.
-        comparison_simulations: number of simulations of all recordings for the comparison of the
-            final set of effects with others.
         between: interpolation of the commands between their stamps, if only the effects decided
             it.
     """
@@ -70,7 +50,6 @@ class ChosenModel:
     found: SearchResult
     location_window: float | None
     notes: tuple[str, ...]
-    comparison_simulations: float = 0.0
     between: CommandBetween | None = None
 
 
@@ -92,79 +71,6 @@ class TestedModel:
     location: tuple[PreparedProblem, TrialSet]
     notes: tuple[str, ...]
     problems: tuple[Problem, ...]
-
-
-def fit_final_parameters(found: SearchResult, budget: Budget) -> SearchResult:
-    """The chosen effects, fitted to fit and validation recordings together.
-
-    Without validation recordings the parameters are final already. If the search ran out of time,
-    they are fitted with a few more iterations.
-
-    Args:
-        budget: limits the time of the fit.
-    """
-    prepared, pruned = _refit(found, budget)
-    problem = prepared.problem
-    pruned = _with_possible_totals(problem, pruned)
-    everything = (*found.trials.fit, *found.trials.held_out)
-    explanation = build_explanation(prepared, found.selected, pruned, everything)
-    if found.whole is not None:
-        explanation = order_by_whole_motions(explanation, found.whole)
-    before, after = (residuals_everywhere(problem, h) for h in (EMPTY, explanation.hypothesis))
-    errors = joint_errors(prepared, before, after)
-    return replace(
-        found,
-        prepared=prepared,
-        trials=replace(found.trials, fit=everything, held_out=()),
-        pruned=pruned,
-        explanation=explanation,
-        before=before,
-        after=after,
-        errors=errors,
-        verdict=verdict(errors, explanation.findings),
-    )
-
-
-def _with_possible_totals(problem: Problem, pruned: PrunedModel) -> PrunedModel:
-    """The fit with totals of model and corrections (friction, inertia, stiffness) at least zero."""
-    h = pruned.fitted.hypothesis
-    theta = without_negative_totals(problem, h)
-    if np.array_equal(theta, h.theta):
-        return pruned
-    fitted = ModelComparison(problem).score_without_fit(h.with_theta(theta), slopes=True).fitted
-    return replace(pruned, fitted=fitted)
-
-
-def _refit(found: SearchResult, budget: Budget) -> tuple[PreparedProblem, PrunedModel]:
-    """Problem of fit and validation recordings together, and the effects fitted to it."""
-    problem, start = found.prepared.problem, found.pruned.fitted.hypothesis
-    is_late = budget.is_out_of_time
-    if not len(problem.held_out) and not is_late:
-        return found.prepared, found.pruned
-    joined = replace(problem, fit=problem.all_segments, held_out=problem.held_out[:0])
-    prepared = replace(found.prepared, problem=joined)
-    if not start.terms:
-        return prepared, found.pruned
-    comparison = ModelComparison(joined)
-    best = comparison.score_without_fit(start, slopes=True)
-    try:
-        with budget.fitting():
-            iterations = RANKING_ITERATIONS if is_late else FULL_ITERATIONS
-            (moved,) = comparison.fit_models([start], best, iterations, slopes=True)
-    except OutOfTime:
-        moved = best
-    comparison.score_models([moved], best, likelihood=found.likelihood)
-    if np.isfinite(moved.evidence) and (
-        moved.evidence >= 0.0 or found.likelihood is log_likelihood
-    ):
-        best = moved
-    reduced_models, *_ = refit_without_each(joined.at(best.hypothesis), best.fitted, is_late)
-    return prepared, replace(
-        found.pruned,
-        fitted=best.fitted,
-        reduced_models=[f.hypothesis for f in reduced_models],
-        removal_evidence={},
-    )
 
 
 def evaluate_on_test(

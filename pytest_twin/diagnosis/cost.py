@@ -27,8 +27,6 @@ class Cost:
         steps: simulated steps, those from the cache included, in millions.
         cached_steps: steps that came from the cache, in millions.
         simulations: number of simulations of all recordings with as many steps.
-        comparison_simulations: simulations of all recordings for the comparison of the final set of
-            effects with other sets.
     """
 
     wall_seconds: float
@@ -36,7 +34,6 @@ class Cost:
     steps: float
     cached_steps: float
     simulations: float
-    comparison_simulations: float = 0.0
 
     def to_json(self) -> dict[str, float]:
         """The object ``cost`` of ``diagnosis.json``."""
@@ -48,17 +45,15 @@ class Cost:
             "simulations": round(self.simulations, 1),
             "million_steps": round(self.steps, 3),
             "million_steps_repeated": round(self.cached_steps, 3),
-            "simulations_of_rival_sets": round(self.comparison_simulations, 1),
         }
 
 
-def measure_cost(budget: Budget, since: float, comparison_simulations: float = 0.0) -> Cost:
+def measure_cost(budget: Budget, since: float) -> Cost:
     """Measure the cost of a diagnosis.
 
     Args:
         budget: the budget with all problems of the diagnosis.
         since: ``time.perf_counter`` at its start, s.
-        comparison_simulations: simulations of all recordings for the comparison with other sets.
     """
     wall = time.perf_counter() - since
     problems = budget.problems
@@ -79,6 +74,4 @@ def measure_cost(budget: Budget, since: float, comparison_simulations: float = 0
         seconds.append(time.perf_counter() - start)
     per_step = float(np.median(seconds)) * len(seconds) / max(simulator.simulated_steps - before, 1)
     repeated = sum(p.cached_steps for p in problems)
-    return Cost(
-        wall, per_step * steps, steps * 1e-6, repeated * 1e-6, budget.work, comparison_simulations
-    )
+    return Cost(wall, per_step * steps, steps * 1e-6, repeated * 1e-6, budget.work)

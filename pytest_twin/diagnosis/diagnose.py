@@ -4,51 +4,32 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pytest_twin.diagnosis.alternative_sets import (
-    OTHER_SETS,
-    compare_with_other_sets,
-    without_comparison,
-)
-from pytest_twin.diagnosis.budget import COMPARISON_SHARE
+from pytest_twin.diagnosis.budget import SEARCH_SHARE
 from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
-from pytest_twin.diagnosis.conclusion import ChosenModel, evaluate_on_test, fit_final_parameters
+from pytest_twin.diagnosis.conclusion import ChosenModel, evaluate_on_test
 from pytest_twin.diagnosis.cost import Cost, measure_cost
 from pytest_twin.diagnosis.findings import Explanation, finding_json
-from pytest_twin.diagnosis.first_answer import keep_first_answer
-from pytest_twin.diagnosis.friction_constraint import (
-    FRICTION_CREEP_NOTE,
-    build_problem_with_better_constraint,
-)
-from pytest_twin.diagnosis.integrator_detection import (
-    adopt_simulation_step,
-    describe_integrator,
-)
 from pytest_twin.diagnosis.longest_windows import LongWindows, errors_over_longest_windows
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.prepare import PreparedProblem, shared_joints
 from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run, describe_skipped_searches
-from pytest_twin.diagnosis.search.scored_model import SelectedModel
-from pytest_twin.diagnosis.search_recordings import search_recordings
-from pytest_twin.diagnosis.search_result import (
-    SearchResult,
-)
+from pytest_twin.diagnosis.search_recordings import find_structure
+from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.signal_meaning import (
     RecordedSignals,
     determine_signals,
-    interpolation_with_fewer_effects,
     with_interpolation_uncertainty,
 )
 from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import UnexplainedResidual, locate_unexplained
-from pytest_twin.diagnosis.unit_check import drop_other_units
 from pytest_twin.diagnosis.unnamed_law.confirmation import (
     ConfirmedLaws,
     confirm_on_test,
@@ -60,7 +41,6 @@ from pytest_twin.diagnosis.window_length import window_of_errors
 from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.realization import Realization
-from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 
 
@@ -76,7 +56,8 @@ class Diagnosis:
             held out.
         unexplained_residuals: joint -> unexplained residual, only for joints that cause it.
         notes: one line each, for the reader.
-        prepared, selected: estimation problem at the final parameters, and model selection.
+        prepared: estimation problem at the final parameters.
+        candidate_count: number of effects among which the search chose.
         tested: problem, recordings and residuals from which the errors were computed.
         free: fitted free laws, for forces that no effect of the catalogue explains.
         roles: which recordings were fitted, validated, and held out.
@@ -93,7 +74,7 @@ class Diagnosis:
     unexplained_residuals: Mapping[str, UnexplainedResidual]
     notes: tuple[str, ...]
     prepared: PreparedProblem
-    selected: SelectedModel
+    candidate_count: int
     tested: SearchResult
     free: ConfirmedLaws
     roles: Roles
@@ -181,10 +162,6 @@ def _names(trials: Sequence[Trial]) -> list[str]:
     return list(dict.fromkeys(t.path.name for t in trials))
 
 
-StructureSearch = Callable[..., ChosenModel]
-"""A search for effects, with the arguments of :func:`find_structure`."""
-
-
 def diagnose(
     realization: Realization,
     trials: TrialSet,
@@ -193,7 +170,6 @@ def diagnose(
     threads: int = 0,
     run: Run | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
-    find: StructureSearch | None = None,
 ) -> Diagnosis:
     """Diagnose a model: locate errors, identify effects, fit them, and test them.
 
@@ -204,8 +180,6 @@ def diagnose(
         threads: threads of batch simulations, 0 for all cores.
         run: the limits of time and simulations, and the trace; without limits by default.
         progress: called with the fraction done, 0 to 1.
-        find: the search for effects, with the arguments of :func:`find_structure`, which is the
-            default.
 
     Raises:
         RecordingError: model and recordings share no joint, or angles are not in rad.
@@ -214,7 +188,7 @@ def diagnose(
     since = time.perf_counter()
     run = Run() if run is None else run
     setup, known = ModelSetup.of(realization, inherited, threads), roles_of(trials).of_search
-    with run.budget.searching(COMPARISON_SHARE):
+    with run.budget.searching(SEARCH_SHARE):
         signals = run.attempt(
             "what the commands and efforts of the recordings are",
             lambda: determine_signals(setup, known), RecordedSignals(),
@@ -228,7 +202,7 @@ def diagnose(
         segments_of(realization, trial, i, joints, Cutting(skips_hole=True))
     # Simulations of candidates may diverge and overflow; such candidates are ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
-        structure = (find or find_structure)(
+        structure = find_structure(
             realization, roles.of_search,
             inherited=inherited, threads=threads, run=run, progress=progress,
             possible=() if undetermined is None else undetermined.possible,
@@ -265,8 +239,8 @@ def diagnose(
     return Diagnosis(
         stated, longest, explanation, free.tested.errors, unexplained_residuals,
         tuple(dict.fromkeys(notes)),
-        structure.found.prepared, structure.found.selected, free.tested, free, roles, run.trace,
-        measure_cost(run.budget, since, structure.comparison_simulations), signals,
+        structure.found.prepared, structure.found.candidate_count, free.tested, free, roles,
+        run.trace, measure_cost(run.budget, since), signals,
         tuple(run.skipped_searches),
     )  # fmt: skip
 
@@ -279,77 +253,3 @@ def _fit_laws_to_residual(structure: ChosenModel, run: Run) -> FreeLaws:
     except OutOfTime:
         run.skip("a law without a name for the unexplained residual")
         return FreeLaws((), structure.found.explanation.hypothesis, ())
-
-
-def find_structure(
-    realization: Realization,
-    trials: TrialSet,
-    *,
-    inherited: PatchedModel | None = None,
-    threads: int = 0,
-    run: Run | None = None,
-    progress: Callable[[float], None] = lambda fraction: None,
-    possible: Sequence[CommandBetween] = (),
-) -> ChosenModel:
-    """Choose effects and fit them, without the test recordings.
-
-    Args:
-        trials: the fit recordings; the validation recordings are in the place of held-out ones.
-        inherited, threads, run, progress: as :func:`diagnose`.
-        possible: possible interpolations of the commands between their stamps, if the recordings
-            do not determine it.
-
-    Raises:
-        RecordingError, SpecError: as :func:`diagnose`.
-    """
-    run = Run() if run is None else run
-    notes: list[str] = []
-    setup = ModelSetup.of(realization, inherited, threads)
-    progress(0.02)
-    trials = drop_other_units(realization, trials, notes)
-    setup, prepared, trials = build_problem_with_better_constraint(setup, trials, notes)
-    everything = (*trials.fit, *trials.held_out)
-    notes += _notes_on_missing_joints(realization, everything, prepared.problem.joints)
-    progress(0.06)
-    run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
-    setup, prepared, trials = adopt_simulation_step(setup, prepared, trials, run)
-    with run.budget.searching(COMPARISON_SHARE):
-        searches = search_recordings(setup, prepared, trials, run)
-    searches = replace(searches, found=keep_first_answer(searches.found, run))
-    setup, notes = searches.setup, [*notes, *searches.notes]
-    progress(0.82)
-    with run.budget.searching():
-        reconsidered = run.attempt(
-            "another interpolation of the commands between their stamps",
-            lambda: interpolation_with_fewer_effects(searches.found, setup, possible, run), None,
-        )  # fmt: skip
-        likeliest, between = (searches.found, None) if reconsidered is None else reconsidered
-        compared = run.attempt(OTHER_SETS, lambda: compare_with_other_sets(likeliest, run), None)
-    found, simulations = compared or (without_comparison(likeliest, run), 0.0)
-    found = fit_final_parameters(found, run.budget)
-    if setup.has_friction_creep:
-        notes.append(FRICTION_CREEP_NOTE)
-    if setup.substeps:
-        notes.append(describe_integrator(found.prepared))
-    notes += found.explanation.notes
-    return ChosenModel(setup, found, searches.location_window, tuple(notes), simulations, between)
-
-
-def _notes_on_missing_joints(
-    realization: Realization, trials: tuple[Trial, ...], joints: tuple[str, ...]
-) -> list[str]:
-    """Notes on the joints of the model that are not in every recording."""
-    notes = []
-    for joint in realization.joints:
-        if joint in joints:
-            continue
-        lacking = [t.path.name for t in trials if joint not in t.joints]
-        if lacking and len(lacking) < len(trials):
-            lack = "lacks" if len(lacking) == 1 else "lack"
-            notes.append(f"joint {joint!r} is left out: {', '.join(lacking)} {lack} it")
-        elif lacking:
-            notes.append(
-                f"joint {joint!r} is in no recording: it is simulated from the model's initial "
-                "position, and its influence on the other joints is not tested"
-            )
-    return notes

@@ -1,4 +1,4 @@
-"""Findings of a selected model: parameters with intervals, gain, alternatives, next test."""
+"""Findings of a search: parameters with intervals, gain, alternatives, next test."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.finding_settings import FINDINGS
 from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
 from pytest_twin.diagnosis.locate import TimeAndRegime, locate_error, smooth_motions
+from pytest_twin.diagnosis.noise_levels import in_noise_floors, joint_name, label
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.noise_levels import in_noise_floors, joint_name, label
-from pytest_twin.diagnosis.search.pruning import PrunedModel
-from pytest_twin.diagnosis.search.scored_model import AlternativeEffects, SelectedModel
+from pytest_twin.diagnosis.search.posterior import AlternativeEffects, NamedModel
 from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.diagnosis.verdict import UNSEEN, JointError
 from pytest_twin.effects.base import Parameter
@@ -108,28 +107,23 @@ class Explanation:
 
 
 def build_explanation(
-    prepared: PreparedProblem,
-    selected: SelectedModel,
-    pruned: PrunedModel,
-    trials: Sequence[Trial],
+    prepared: PreparedProblem, named: NamedModel, trials: Sequence[Trial]
 ) -> Explanation:
-    """Findings of the selected model, with intervals, gains and alternatives.
+    """Findings of the effects that carry a name, with intervals, gains and alternatives.
 
     Args:
-        selected: result of the model selection.
-        pruned: the terms that remain after pruning.
         trials: fitted trials, then held-out trials, in the numbering of ``prepared``.
 
     Raises:
         OutOfTime: the time of the search is over.
     """
-    hypothesis = pruned.fitted.hypothesis
+    hypothesis, posterior, notes = named.fitted.hypothesis, named.posterior, list(named.notes)
     if not hypothesis.terms:
-        return Explanation((), hypothesis, notes=pruned.notes)
+        return Explanation((), hypothesis, notes=notes)
     problem = prepared.problem.at(hypothesis)
-    uncertainty = parameter_uncertainty(problem, pruned.fitted, selected.nearby_models)
+    uncertainty = parameter_uncertainty(problem, named.fitted, posterior.nearby)
     without_each = [hypothesis.without(t) for t in hypothesis.terms]
-    residuals = problem.residuals([hypothesis, *pruned.reduced_models], problem.all_segments)
+    residuals = problem.residuals([hypothesis, *named.reduced_models], problem.all_segments)
     changes = _prediction_changes(problem, [hypothesis, *without_each])
     influence = [c.largest for c in changes]
     small = small_corrections(
@@ -144,20 +138,17 @@ def build_explanation(
         error_increase = _error_increase(problem, term, residuals[0], without)
         at = max(term.joint, 0)
         where = locate_error(paths, error_increase, at, joint_unit(problem, at))
-        others = selected.alternatives_to(term)
-        confidence = selected.confidence.get(term, 1.0)
-        if not np.isfinite(confidence):
-            # The selected model diverges, so it has no likelihood.
-            confidence = 0.0
+        others = posterior.alternatives.get(term, [])
+        confidence = posterior.confidence[term]
         if term.joint >= 0 and problem.floor[term.joint] >= UNSEEN:
             confidence = min(confidence, FINDINGS.most_in_doubt)
-            pruned.notes.append(
+            notes.append(
                 f"{label(problem, term)}: the encoder of this joint gives no information. The "
                 "effect was identified from the other joints only; confidence is at most 50 %"
             )
         if hypothesis.is_at_bound(term) or problem.has_shape_at_bound(hypothesis, term):
             confidence = min(confidence, FINDINGS.most_in_doubt)
-            pruned.notes.append(
+            notes.append(
                 f"{label(problem, term)}: a parameter is at its physical bound. Another effect may "
                 "be the cause; confidence is at most 50 %"
             )
@@ -180,8 +171,8 @@ def build_explanation(
             )
         )
     found.sort(key=lambda f: -f.influence)
-    reduced_models = dict(zip(hypothesis.terms, pruned.reduced_models, strict=True))
-    return Explanation(tuple(found), hypothesis, pruned.notes, reduced_models)
+    reduced_models = dict(zip(hypothesis.terms, named.reduced_models, strict=True))
+    return Explanation(tuple(found), hypothesis, notes, reduced_models)
 
 
 def _is_worth_listing(alternative: AlternativeEffects) -> bool:
@@ -243,7 +234,8 @@ def with_unexplained_share(
 
     A confidence compares effects of the catalogue with one another. A residual shows that something
     outside of it acts at the joint, of which a finding may be an imitation. That something counts
-    by its share of the squared held-out error above the floor.
+    by its share of the log-likelihood: the logarithm of the error that remains, in noise floors,
+    over that of the nominal model. An imitation may remove 99.9 % of the squared error.
 
     Args:
         errors: joint -> errors on the held-out recordings; for a finding of the whole robot the
@@ -252,9 +244,8 @@ def with_unexplained_share(
     findings = []
     for f in explanation.findings:
         shares = [
-            0.0 if e.is_at_floor else e.fraction
-            for joint, e in errors.items() if f.joint in (None, joint)
-        ]  # fmt: skip
+            e.unexplained_log_share for joint, e in errors.items() if f.joint in (None, joint)
+        ]
         explained = 1.0 - max(shares, default=0.0)
         findings.append(replace(f, confidence=explained * f.confidence))
     return replace(explanation, findings=tuple(findings))

@@ -12,10 +12,8 @@ class IntegratorSettings:
     They were chosen on recordings simulated by MuJoCo at 2 ms and by integration at 0.1 ms.
 
     Attributes:
-        left: greatest share of the residual above the noise if recordings were simulated.
-        left_linearized: the same of the linearized residual, for a search to be worth its time.
-        first_order_share: share of a joint's travel up to which the discretization error is of
-            first order.
+        left: greatest share of the residual above the noise with the right step or friction
+            constraint of a simulation.
         least_evidence: smallest log-likelihood ratio over all recordings for a simulation: odds of
             150 to 1. Three recordings of 4 s at 100 Hz, made by MuJoCo at 2 ms, reach 13 if the
             integration error is 20 % of the noise; two reach 10.
@@ -33,8 +31,6 @@ class IntegratorSettings:
     """
 
     left: float = 0.5
-    left_linearized: float = 0.25
-    first_order_share: float = 0.05
     least_evidence: float = 5.0
     noise_alone: float = 1.2
     effort_closer: float = 0.5
@@ -44,20 +40,4 @@ class IntegratorSettings:
     cause_share: float = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class FrictionConstraintSettings:
-    """Thresholds by which the other friction constraint of the simulator is right.
-
-    They were chosen on recordings that MuJoCo simulated with both constraints.
-
-    Attributes:
-        left: greatest share of the residual above the noise floor with fitted effects.
-        left_unfitted: the same with the nominal model.
-    """
-
-    left: float = 0.5
-    left_unfitted: float = 0.8
-
-
 INTEGRATOR = IntegratorSettings()
-FRICTION_CONSTRAINT = FrictionConstraintSettings()

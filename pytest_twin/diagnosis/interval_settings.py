@@ -17,14 +17,12 @@ class IntervalSettings:
         most_leverage: largest share of the information on a parameter that one cluster may have.
         least_variance: smallest share of the variance that a combination of parameters may have: it
             is assumed to be at most ten times as accurate as each of them.
-        least_odds: structures with smaller odds do not widen the intervals of parameters.
     """
 
     fewest_clusters: int = 3
     parts: int = 6
     most_leverage: float = 0.9
     least_variance: float = 0.01
-    least_odds: float = 0.01
 
 
 INTERVALS = IntervalSettings()

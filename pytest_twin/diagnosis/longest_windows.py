@@ -9,13 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.search_result import (
-    SearchResult,
-    build_problem,
-    joint_errors,
-    residuals_everywhere,
-)
+from pytest_twin.diagnosis.search_result import SearchResult, joint_errors
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.diagnosis.window_length import model_follows_recordings, window_of_errors
 from pytest_twin.errors import TwinError

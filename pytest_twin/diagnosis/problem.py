@@ -163,12 +163,6 @@ class Problem:
     def _simulators(self) -> list[BatchSimulator]:
         return [s for s in (self.simulator, self.refined) if s is not None]
 
-    def is_acted_on_by(self, terms: Sequence[Term]) -> NDArray[np.bool_]:
-        """(signals,) whether a term acts on the signal's joint; all if one acts on the robot."""
-        joints = [t.joint for t in terms]
-        at = np.isin(np.arange(len(self.joints)), joints) | (-1 in joints)
-        return np.tile(at, len(self.signal_floor) // len(self.joints))
-
     def has_shape_at_bound(self, hypothesis: Hypothesis, term: Term) -> bool:
         """Whether a shape parameter of a term is at its bound, as in
         :meth:`Hypothesis.has_shape_at_bound`.

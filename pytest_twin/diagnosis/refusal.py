@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-
 from pytest_twin.diagnosis.physical_totals import impossible_effects
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange, unidentifiable_effects
@@ -23,17 +21,3 @@ def refused_effects(
         **unidentifiable_effects(problem, hypothesis, recorded),
         **impossible_effects(problem, hypothesis),
     }
-
-
-def reportable_without(
-    problem: Problem, rejected: Collection[Term], recorded: RecordedRange
-) -> Callable[[Hypothesis], bool]:
-    """Whether a set of effects may be reported: none of it is refused or was rejected before.
-
-    Args:
-        rejected: effects that pruning rejected as only the closest known ones.
-    """
-    excluded = frozenset(rejected)
-    return lambda other: (
-        excluded.isdisjoint(other.terms) and not refused_effects(problem, other, recorded)
-    )

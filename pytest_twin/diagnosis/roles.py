@@ -53,8 +53,8 @@ def roles_of(read: TrialSet) -> Roles:
     Whole recordings of one fifth to one third of the recorded time are used for validation. Every
     condition (controller, payload, temperature) keeps recordings to fit. Recordings whose range of
     positions and speeds is best covered by the others are chosen. The order of the recordings does
-    not matter. With fewer than four recordings all are fitted, and effects are accepted by an
-    information criterion alone.
+    not matter. With fewer than four recordings all are fitted, and effects are accepted by
+    the prediction of each from the others.
 
     Args:
         read: the trials to fit, and the held-out ones, which become test trials.
@@ -79,8 +79,8 @@ def roles_of(read: TrialSet) -> Roles:
 def _of_few(count: int) -> str:
     which = "one recording" if count == 1 else f"{count} recordings"
     return (
-        f"{which} to fit, too few to set one aside for validation: effects are accepted by an "
-        "information criterion on the fitted recordings; with "
+        f"{which} to fit, too few to set one aside for validation: effects are accepted by the "
+        f"prediction of {'its parts' if count == 1 else 'each from the others'}; with "
         f"{ROLES.fewest_recordings} or more recordings some are used for validation"
     )
 
@@ -88,8 +88,8 @@ def _of_few(count: int) -> str:
 def _of_different(count: int) -> str:
     return (
         f"{count} recordings to fit, too few to validate under every controller, payload and "
-        "temperature: none is set aside for validation; effects are accepted by an information "
-        "criterion"
+        "temperature: none is set aside for validation; effects are accepted by the prediction of "
+        "each from the others"
     )
 
 

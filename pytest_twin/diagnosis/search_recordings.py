@@ -1,348 +1,388 @@
-"""The searches of one diagnosis: over whole recordings, over windows, with and without contact."""
+"""The search over the recordings of a diagnosis: whole, in windows, or far from contact."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-from pytest_twin.diagnosis.alternative_sets import compare_with_other_sets, without_comparison
-from pytest_twin.diagnosis.effect_selection import EffectSelection
-from pytest_twin.diagnosis.friction_constraint import (
-    refit_with_better_constraint,
-    search_with_better_constraint,
-)
-from pytest_twin.diagnosis.integrator_detection import (
-    detect_integrator,
-    simulation_explains_more,
-)
-from pytest_twin.diagnosis.integrator_of_findings import refit_with_detected_timestep
+import numpy as np
+
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
+from pytest_twin.diagnosis.conclusion import ChosenModel
+from pytest_twin.diagnosis.findings import order_by_whole_motions
+from pytest_twin.diagnosis.first_answer import hypothesis_of
+from pytest_twin.diagnosis.intervals import parameter_uncertainty
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.prepare import PreparedProblem
+from pytest_twin.diagnosis.noise_levels import label
+from pytest_twin.diagnosis.patched.model import PatchedModel
+from pytest_twin.diagnosis.patched.native import mjcf_expresses
+from pytest_twin.diagnosis.prepare import PreparedProblem, discretization_rms
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search_result import (
-    SearchResult,
-    build_problem,
-    confirm_effects,
-    refit_whole_motions,
-    refit_with_full_drive,
-    residuals_everywhere,
-    search,
+from pytest_twin.diagnosis.run import Run, ScoredHypothesis
+from pytest_twin.diagnosis.search.model import Acceptance, Model
+from pytest_twin.diagnosis.search.physics import SimulatedPhysics
+from pytest_twin.diagnosis.search.posterior import NamedModel, best_named, posterior
+from pytest_twin.diagnosis.search.report_rules import rejections
+from pytest_twin.diagnosis.search.search import Search, SearchOutcome
+from pytest_twin.diagnosis.search_result import SearchResult, build_result
+from pytest_twin.diagnosis.simulated_recordings import with_detected_timestep
+from pytest_twin.diagnosis.simulation_settings import (
+    FRICTION_CREEP_NOTE,
+    adopt_simulation_step,
+    build_problem_with_better_constraint,
+    describe_integrator,
 )
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.diagnosis.window_length import (
-    model_follows_recordings,
-    typical_window_length,
-)
+from pytest_twin.diagnosis.unit_check import drop_other_units
+from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.diagnosis.window_length import model_follows_recordings, typical_window_length
 from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.diagnosis.windows import WINDOW
-from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.errors import RecordingError
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
+from pytest_twin.estimation.least_squares import FittedModel, fit, weighted_cost
+from pytest_twin.realization import Realization
+from pytest_twin.recording_options import CommandBetween
+from pytest_twin.trial import Trial
 
-# Windows are searched only if some set leaves at most this share of the nominal model's squared
-# error in the linearized motion.
-_MAX_RESIDUAL_SHARE = 0.1
-_SHARE_FOR_WHOLE_RECORDINGS = 0.5
-"""Share of the simulations for whole recordings if windows are searched too."""
-_CONTACT_FAMILY = "contact"
+_LAST_ITERATIONS = 8
+"""Iterations of the last fit; one that has converged stops earlier."""
+_CORRECTED_FITS = 3
+"""Largest number of last fits, each with the corrections at the parameters of the one before."""
+_SETTLED = 0.1
+"""Change of the corrections, in noise floors, below which the last fit is final."""
+_REFIT_ITERATIONS = 3
+"""Iterations of a refit without one effect, which starts with the Jacobian of all effects."""
+_LOWER_FLOORS = 2
+"""Largest number of searches with a lower noise floor."""
+_WHOLE_SHARE = 0.4
+"""Share of the time limit that searches in windows leave for whole recordings."""
 _WINDOWS_NOTE = (
-    f"all errors are of predictions over windows of {WINDOW:g} s that start from measured states: "
-    "over whole recordings small errors of this motion grow (an oscillating servo, a falling arm, "
-    "an integrated velocity)"
+    "all errors are of predictions over windows of {:.2g} s that start from measured states: over "
+    "whole recordings small errors of this motion grow"
 )
-
-_SELECTED_IN_WINDOWS_NOTE = (
-    f"the effects were selected in windows of {WINDOW:g} s that start from measured states, and "
-    "fitted over whole recordings: over whole recordings stick-slip motion separates effects less"
-)
-
-_FULL_DRIVE_NOTE = (
-    "all drive parameters were fitted together, because stick-slip motion does not separate them; "
-    "alternatives to the findings with 50 % confidence were not tested"
+_ONE_RECORDING_NOTE = (
+    "effects were accepted on parts of one recording, because there is no second one to predict; "
+    "no confidence is above 90 %"
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingSearchResult:
-    """Result of all searches of a diagnosis.
-
-    Attributes:
-        setup: the model with the simulation settings of this result.
-        location_window: length in s of the windows in which the unexplained residual is located;
-            None for whole recordings.
-        notes: one line each, for the reader.
-    """
-
-    setup: ModelSetup
-    found: SearchResult
-    location_window: float | None
-    notes: tuple[str, ...]
-
-
-def search_recordings(
-    setup: ModelSetup, prepared: PreparedProblem, trials: TrialSet, run: Run
-) -> RecordingSearchResult:
-    """Search for effects over whole recordings, and over windows of them if these explain more.
-
-    If time runs out, the result of the last finished search is returned.
-
-    Args:
-        setup: the model with its simulation settings.
-        prepared, trials: the problem over whole recordings, and its trials.
-    """
-    notes: list[str] = []
-    problem = prepared.problem
-    run.budget.add(problem)
-    contact = problem.simulator.models.contact
-    effects_without_contact, start = EMPTY, EMPTY
-    if contact.world.size:
-        away = run.attempt(
-            "the search for effects far from contact",
-            lambda: _search_away_from_contact(setup, trials, contact, run), None,
-        )  # fmt: skip
-        if away is not None:
-            effects_without_contact = start = away
-            start = run.attempt(
-                "contact effects in addition",
-                lambda: _add_contact_effects(problem, effects_without_contact, run),
-                effects_without_contact,
-            )
-    run.begin(_stage_of(problem), problem)
-    with run.budget.reserved():
-        share = _share_for_whole_recordings(problem)
-    with run.budget.part(share):
-        setup, found = search_with_better_constraint(setup, prepared, trials, run, start)
-    if found.has_diverged and contact.world.size:
-        found = run.attempt(
-            "contact effects once more", partial(add_contact_effects_again, found, run), found
-        )
-    elif found.departs_from_recordings and not contact.world.size:
-        found = run.attempt(
-            "a search from shorter windows",
-            partial(search_shorter_windows, found, setup, run),
-            found,
-        )
-    setup, found = run.attempt(
-        "another model of creep under dry friction",
-        partial(refit_with_better_constraint, found, setup, run),
-        (setup, found),
-    )
-    of_simulation = run.attempt(
-        "recordings of a simulation",
-        partial(_search_with_detected_integrator, found, setup, run),
-        None,
-    )
-    if of_simulation is not None:
-        return of_simulation
-    with_timestep = run.attempt(
-        "the integration error of a simulation",
-        partial(refit_with_detected_timestep, found, setup, run),
-        None,
-    )
-    if with_timestep is not None:
-        setup, found = with_timestep
-    location_window: float | None = None
-    if found.has_diverged and (effects_without_contact.terms or not contact.world.size):
-        location_window = WINDOW
-        found, window_notes = run.attempt(
-            f"windows of {WINDOW:g} s",
-            partial(_search_windows, found, setup, trials, effects_without_contact, run),
-            (found, list[str]()),
-        )
-        notes += window_notes
-    return RecordingSearchResult(setup, found, location_window, tuple(notes))
-
-
-def _search_with_detected_integrator(
-    found: SearchResult, setup: ModelSetup, run: Run
-) -> RecordingSearchResult | None:
-    """Search again without correcting the integration error, if a simulation made the recordings.
-
-    None if the recordings contain no integration error, or if that search explains no more.
-    """
-    changed_setup = detect_integrator(found, setup)
-    if changed_setup is None:
-        return None
-    prepared, trials = build_problem(changed_setup, found.trials, [])
-    other = search_recordings(changed_setup, prepared, trials, run)
-    return other if simulation_explains_more(other.found, found) else None
-
-
-def _search_windows(
-    found: SearchResult,
-    setup: ModelSetup,
+def find_structure(
+    realization: Realization,
     trials: TrialSet,
-    effects_without_contact: Hypothesis,
-    run: Run,
-) -> tuple[SearchResult, list[str]]:
-    """The better result of whole recordings and windows, with notes for the reader."""
-    cut, kept = build_problem(setup, trials, [], window=WINDOW)
-    run.begin(f"windows of {WINDOW:g} s", cut.problem)
-    if cut.problem.simulator.models.contact.world.size:
-        # Effects that act without contact are known from the windows away from it.
-        cut = replace(cut, problem=replace(cut.problem, family=_CONTACT_FAMILY))
+    *,
+    inherited: PatchedModel | None = None,
+    threads: int = 0,
+    run: Run | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+    possible: Sequence[CommandBetween] = (),
+) -> ChosenModel:
+    """Choose effects and fit them, without the test recordings.
 
-    def build_longer_windows() -> PreparedProblem:
-        halves, _ = build_problem(setup, trials, [], window=_half_of_longest(trials))
-        run.begin("windows of half a recording", halves.problem)
-        return halves
-
-    notes: list[str] = []
-    return _compare_with_windows(
-        found, cut, kept, effects_without_contact, run, notes, build_longer_windows
-    ), notes
-
-
-def _problem_away_from_contact(
-    setup: ModelSetup, trials: TrialSet, contact: ContactGeoms
-) -> tuple[PreparedProblem, TrialSet] | None:
-    """The problem in windows without contact; None if there are none."""
-    try:
-        return build_problem(setup, trials, [], window=WINDOW, contact=contact)
-    except RecordingError:
-        return None
-
-
-def _share_for_whole_recordings(problem: Problem) -> float:
-    """Share of the remaining simulations for the search over whole recordings.
-
-    It is one half if the nominal model departs from the recordings, because short windows are then
-    searched as well.
-    """
-    follows = model_follows_recordings(problem, residuals_everywhere(problem, EMPTY))
-    return 1.0 if follows else _SHARE_FOR_WHOLE_RECORDINGS
-
-
-def _stage_of(problem: Problem) -> str:
-    """Name of the stage that searches a problem."""
-    if all(s.starts_in_motion for s in problem.simulator.segments):
-        return f"windows of {typical_window_length(problem):.2g} s"
-    return "whole recordings"
-
-
-def _search_away_from_contact(
-    setup: ModelSetup, trials: TrialSet, contact: ContactGeoms, run: Run
-) -> Hypothesis | None:
-    """Effects that explain the motion away from contact; None if the robot is always in contact.
-
-    Away from contact the linearization is valid for every law. In contact every candidate must be
-    simulated.
-    """
-    away = _problem_away_from_contact(setup, trials, contact)
-    if away is None:
-        return None
-    prepared, kept = away
-    run.begin("windows far from contact", prepared.problem)
-    return search(prepared, kept, EffectSelection(prepared.problem, run)).explanation.hypothesis
-
-
-def _add_contact_effects(
-    problem: Problem, effects_without_contact: Hypothesis, run: Run
-) -> Hypothesis:
-    """The effects that were found away from contact, with contact effects added."""
-    run.begin("contact effects over whole recordings", problem)
-    of_contact = replace(problem, family=_CONTACT_FAMILY)
-    return EffectSelection(of_contact, run).run(effects_without_contact).best.hypothesis
-
-
-def add_contact_effects_again(found: SearchResult, run: Run) -> SearchResult:
-    """Add contact effects to a result, and continue the search from it.
-
-    The error of a surface may be hidden by other effects that act in contact as well (a late clock,
-    a saturated drive).
-    """
-    problem, hypothesis = found.prepared.problem, found.explanation.hypothesis
-    more = _add_contact_effects(problem, hypothesis, run)
-    if set(more.terms) <= set(hypothesis.terms):
-        return found
-    return _continue_from(found, more, run)
-
-
-def _continue_from(found: SearchResult, start: Hypothesis, run: Run) -> SearchResult:
-    """The result of a search from a hypothesis, if it is better than the present one."""
-    run.begin(f"{_stage_of(found.prepared.problem)} once more", found.prepared.problem)
-    selection = EffectSelection(found.prepared.problem, run)
-    other = search(found.prepared, found.trials, selection, start)
-    found = found.with_floor_of(other)
-    return other if other.scores_better_than(found) else found
-
-
-def search_shorter_windows(found: SearchResult, setup: ModelSetup, run: Run) -> SearchResult:
-    """Search in windows that the nominal model follows, then continue from that result.
-
-    Windows are halved until the nominal model follows the recordings within each. The better one of
-    the new and the present result is returned.
-    """
-    window = typical_window_length(found.prepared.problem)
-    while True:
-        window *= 0.5
-        cut, kept = build_problem(setup, found.trials, [], window=window)
-        follows = model_follows_recordings(cut.problem, residuals_everywhere(cut.problem, EMPTY))
-        if follows or window <= 2.0 * WINDOWS.shortest:
-            break
-    run.begin(f"windows of {window:g} s", cut.problem)
-    start = search(
-        cut, kept, EffectSelection(cut.problem, run, _MAX_RESIDUAL_SHARE)
-    ).explanation.hypothesis
-    return _continue_from(found, start, run) if start.terms else found
-
-
-def _compare_with_windows(
-    found: SearchResult,
-    cut: PreparedProblem,
-    kept: TrialSet,
-    effects_without_contact: Hypothesis,
-    run: Run,
-    notes: list[str],
-    build_longer_windows: Callable[[], PreparedProblem],
-) -> SearchResult:
-    """The best result of whole recordings, windows, and whole recordings with effects of windows.
+    Validation recordings are fitted too: effects are accepted by cross-validation over all.
 
     Args:
-        cut, kept: the problem in windows, and its trials.
-        effects_without_contact: effects that were found away from contact.
-        notes: receives how the effects were selected.
-        build_longer_windows: builds the problem in longer windows.
+        trials: the fit recordings; the validation recordings are in the place of held-out ones.
+        inherited, threads, run, progress: as of :func:`~pytest_twin.diagnosis.diagnose.diagnose`.
+        possible: possible interpolations of the commands between their stamps.
+
+    Raises:
+        RecordingError, SpecError: as of :func:`~pytest_twin.diagnosis.diagnose.diagnose`.
     """
-    other = confirm_effects(cut, kept, found, run)
-    if other is None:
-        # Without contact effects, windows are searched only if some set explains most of the error
-        # in the linearized motion.
-        max_residual_share = 1.0 if effects_without_contact.terms else _MAX_RESIDUAL_SHARE
-        other = search(
-            cut,
-            kept,
-            EffectSelection(cut.problem, run, max_residual_share),
-            effects_without_contact,
+    run = Run() if run is None else run
+    notes: list[str] = []
+    setup = ModelSetup.of(realization, inherited, threads)
+    progress(0.02)
+    trials = replace(trials, fit=(*trials.fit, *trials.held_out), held_out=())
+    trials = drop_other_units(realization, trials, notes)
+    setup, prepared, trials = build_problem_with_better_constraint(setup, trials, notes)
+    notes += _notes_on_missing_joints(realization, trials.fit, prepared.problem.joints)
+    progress(0.06)
+    run.trace.listeners.append(lambda step: progress(0.06 + 0.74 * run.share_done))
+    setup, prepared, trials = adopt_simulation_step(setup, prepared, trials, run)
+    searched = _search_recordings(SimulatedPhysics(setup, prepared, trials, possible), run)
+    physics = searched.physics
+    assert isinstance(physics, SimulatedPhysics)
+    if not searched.is_complete:
+        run.skip("the search for further effects")
+    if searched.comparison.has_one_recording:
+        notes.append(_ONE_RECORDING_NOTE)
+    with run.budget.reserved():
+        found = _conclude(physics, searched, is_late=run.is_over)
+    window = physics.prepared.window
+    if window is not None:
+        notes.append(_WINDOWS_NOTE.format(window))
+        ordered = order_by_whole_motions(found.explanation, prepared.problem)
+        found = replace(found, explanation=ordered)
+    setup = physics.setup
+    if setup.has_friction_creep:
+        notes.append(FRICTION_CREEP_NOTE)
+    if setup.substeps:
+        notes.append(describe_integrator(found.prepared))
+    every = (*notes, *found.explanation.notes)
+    return ChosenModel(setup, found, window, every, between=physics.between)
+
+
+def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
+    """The search over whole recordings, or over windows of them that the model follows.
+
+    Far from contact, and in short windows, the linearization is valid where it is not over whole
+    recordings. Where the found model follows the whole recordings, the search continues there.
+
+    Args:
+        whole: the robot with its whole recordings.
+    """
+    setup, prepared, trials = whole.setup, whole.prepared, whole.trials
+    problem = prepared.problem
+    first = start = hypothesis_of(problem, run.first_answer) or EMPTY
+    contact = problem.simulator.models.contact
+    if contact.world.size:
+        with contextlib.suppress(RecordingError):
+            away, kept = build_problem(setup, trials, [], window=WINDOW, contact=contact)
+            far = SimulatedPhysics(setup, away, kept)
+            own = set(far.candidates)
+            of_motion = first.without(*(t for t in first.terms if t not in own))
+            start = _rescaled(of_motion, problem, away.problem)
+            found = _search(far, run, "windows far from contact", [start], _WHOLE_SHARE)
+            start = _rescaled(found.incumbent.hypothesis, away.problem, problem)
+    elif not _follows(problem, EMPTY):
+        cut = _followed_windows(setup, prepared, trials)
+        stage = f"windows of {cut.prepared.window:.2g} s"
+        in_windows = _search(
+            cut, run, stage, [_rescaled(first, problem, cut.problem)], _WHOLE_SHARE
         )
-    if other.explains_more_than(found):
-        notes.append(_WINDOWS_NOTE)
-        return replace(other, whole=found.prepared.problem)
-    if other.may_improve(found):
-        # Sets of effects are not compared over whole stick-slip motions; their confidence comes
-        # from the windows.
-        compared = run.attempt(
-            "other sets of effects instead of those of windows",
-            partial(compare_with_other_sets, other, run),
-            None,
+        start = _rescaled(in_windows.incumbent.hypothesis, cut.problem, problem)
+        physics = in_windows.physics
+        assert isinstance(physics, SimulatedPhysics)
+        whole = SimulatedPhysics(physics.setup, prepared, trials, whole.possible)
+        if start.terms and not _follows(problem, start):
+            return in_windows
+    both = start
+    for term in first.terms:
+        both = both if term in both.terms else both.with_term_of(first, term)
+    found = _search(whole, run, "whole recordings", [first, start, both])
+    for _ in range(_LOWER_FLOORS):
+        physics, best = found.physics, found.incumbent.hypothesis
+        assert isinstance(physics, SimulatedPhysics)
+        lower = physics.prepared.with_lower_floor(best) if best.terms else None
+        if lower is None or not found.is_complete:
+            break
+        lowered = SimulatedPhysics(
+            physics.setup, lower, physics.trials, physics.possible, between=physics.between
         )
-        other = without_comparison(other, run) if compared is None else compared[0]
-        if found.has_stick_slip:
-            with run.budget.uncounted():
-                whole = refit_with_full_drive(found, other, build_longer_windows())
-            if whole.tracks_better_than(found):
-                notes.append(_FULL_DRIVE_NOTE)
-                return whole
-        with run.budget.uncounted():
-            whole = refit_whole_motions(found, other)
-        if whole.tracks_better_than(found):
-            notes.append(_SELECTED_IN_WINDOWS_NOTE)
-            return whole
+        found = _search(lowered, run, "whole recordings, lower noise floor", [best])
+    if _is_unpredictable(found):
+        windows, kept = build_problem(setup, trials, [], window=WINDOW)
+        best = _rescaled(found.incumbent.hypothesis, problem, windows.problem)
+        return _search(
+            SimulatedPhysics(setup, windows, kept), run, f"windows of {WINDOW:.2g} s", [best]
+        )
     return found
 
 
-def _half_of_longest(trials: TrialSet) -> float:
-    """Half the duration of the longest fitted recording, s."""
-    return 0.5 * max(float(t.time[-1] - t.time[0]) for t in trials.fit)
+def _is_unpredictable(found: SearchOutcome) -> bool:
+    """Whether errors of the time step explain what remains over whole recordings.
+
+    In the motion of an unstable servo they grow until no simulation predicts it.
+    """
+    physics, incumbent = found.physics, found.incumbent
+    assert isinstance(physics, SimulatedPhysics)
+    if not incumbent.hypothesis.terms or not incumbent.is_finite or physics.setup.substeps:
+        return False
+    joints = len(physics.joints)
+    limit = VERDICT.at_floor * physics.floor[:joints]
+    remains = np.sqrt(incumbent.mean_square[:joints]) > limit
+    steps = discretization_rms(physics.problem.at(incumbent.hypothesis)) > limit
+    return bool((remains & steps).any())
+
+
+def _followed_windows(
+    setup: ModelSetup, prepared: PreparedProblem, trials: TrialSet
+) -> SimulatedPhysics:
+    """The longest windows, each half of the last, in which the model follows the recordings."""
+    window = typical_window_length(prepared.problem)
+    while True:
+        window *= 0.5
+        cut, kept = build_problem(setup, trials, [], window=window)
+        if _follows(cut.problem, EMPTY) or window <= 2.0 * WINDOWS.shortest:
+            return SimulatedPhysics(setup, cut, kept)
+
+
+def _rescaled(hypothesis: Hypothesis, of: Problem, to: Problem) -> Hypothesis:
+    """A hypothesis of one problem in the reference scales of another one."""
+    ratios = [
+        of.scales.value(p, t.joint) / to.scales.value(p, t.joint)
+        for t in hypothesis.terms
+        for p in t.parameters
+    ]
+    return hypothesis.with_theta(np.clip(hypothesis.theta * ratios, *hypothesis.bounds))
+
+
+def _follows(problem: Problem, hypothesis: Hypothesis) -> bool:
+    return model_follows_recordings(problem, residuals_everywhere(problem, hypothesis))
+
+
+class _MadeBySimulationError(Exception):
+    """A simulation made the recordings.
+
+    Attributes:
+        physics: the recordings as those of the simulation.
+        hypothesis: the effects so far.
+    """
+
+    def __init__(self, physics: SimulatedPhysics, hypothesis: Hypothesis) -> None:
+        self.physics, self.hypothesis = physics, hypothesis
+
+
+def _search(
+    physics: SimulatedPhysics,
+    run: Run,
+    stage: str,
+    starts: Sequence[Hypothesis],
+    kept_share: float = 0.0,
+) -> SearchOutcome:
+    """One search, which the limits of the diagnosis may end early.
+
+    Args:
+        starts: earlier answers.
+        kept_share: share of the time limit that is kept for later searches.
+    """
+
+    def check(incumbent: Model) -> None:
+        if run.is_over:
+            raise OutOfTime
+        present = search.physics
+        assert isinstance(present, SimulatedPhysics)
+        made = with_detected_timestep(present, incumbent)
+        if made is not None:
+            raise _MadeBySimulationError(*made)
+
+    run.begin(stage, physics.problem)
+    with run.budget.reserved():
+        search = Search(physics, listener=_tracer(physics.problem, run), check=check)
+        # What an earlier search found is the result if no time is left to fit it here.
+        earlier = [search.simulated(h) for h in starts if h.terms]
+    try:
+        with run.budget.searching(kept_share):
+            return search.run(earlier)
+    except _MadeBySimulationError as made:
+        return _search(made.physics, run, "recordings of a simulation", [made.hypothesis])
+
+
+def _tracer(problem: Problem, run: Run) -> Callable[[Model, Model, Acceptance], None]:
+    def record(model: Model, incumbent: Model, decision: Acceptance) -> None:
+        run.step(
+            problem, model.origin, "accepted" if decision.is_accepted else "rejected",
+            decision.reason,
+            ScoredHypothesis(model.hypothesis, model.score),
+            ScoredHypothesis(incumbent.hypothesis, incumbent.score),
+        )  # fmt: skip
+
+    return record
+
+
+def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool) -> SearchResult:
+    """Findings of a search: confidences from its pool, names by the report rules.
+
+    Args:
+        is_late: whether the time of the search is over; fits then take few steps.
+    """
+    problem, notes = physics.problem, list[str]()
+    start = found.incumbent.hypothesis
+    while True:
+        found = replace(found, incumbent=_refit(physics, found, start, is_late=is_late))
+        best = best_named(found, _inexpressible, lambda h: not physics.refusals(h))
+        if best is not found.incumbent.hypothesis:
+            found = replace(found, incumbent=_refit(physics, found, best, is_late=is_late))
+        model = found.incumbent
+        fitted, here = _fitted(problem, model), problem.at(model.hypothesis)
+        refitted = _refit_without_each(here, fitted, 1 if is_late else _REFIT_ITERATIONS)
+        without = {
+            t: np.mean(f.residual**2, axis=0)
+            for t, f in zip(model.hypothesis.terms, refitted, strict=True)
+        }
+        rejected = rejections(
+            model, found.nominal, without, parameter_uncertainty(here, fitted),
+            physics.floor, physics.refusals(model.hypothesis), len(physics.joints),
+        )  # fmt: skip
+        if not rejected:
+            break
+        notes += [f"rejected: {label(problem, t)}: {why}" for t, why in rejected.items()]
+        start = model.hypothesis.without(*rejected)
+    shares = posterior(found, lambda h: not physics.refusals(h))
+    named = NamedModel(fitted, [f.hypothesis for f in refitted], shares, notes)
+    return build_result(physics.prepared, physics.trials, named, found.comparison.candidates)
+
+
+def _inexpressible(hypothesis: Hypothesis) -> int:
+    """Number of effects that plain MJCF cannot express."""
+    return sum(not mjcf_expresses(t.effect) for t in hypothesis.terms)
+
+
+def _refit(
+    physics: SimulatedPhysics, found: SearchOutcome, start: Hypothesis, *, is_late: bool
+) -> Model:
+    """A hypothesis fitted to convergence, with the corrections of its own parameters."""
+    known = found.incumbent
+    if is_late and known.jacobian is not None and start is known.hypothesis:
+        return known
+    (residual,) = physics.simulate([start], start)
+    hypothesis = start
+    iterations = 1 if is_late else _LAST_ITERATIONS
+    for _ in range(1 if is_late else _CORRECTED_FITS):
+        before = hypothesis
+        hypothesis, residual, jacobian = physics.fit(before, residual, iterations, before)
+        (uncorrected,) = physics.simulate([hypothesis], before)
+        change = np.sqrt(np.mean((residual - uncorrected) ** 2, axis=0))
+        if not (change > _SETTLED * physics.floor).any():
+            break
+    size = physics.size(hypothesis)
+    model = Model.of(found.comparison, hypothesis, residual, size, "report", hypothesis)
+    return model.with_jacobian(found.comparison, jacobian)
+
+
+def _fitted(problem: Problem, model: Model) -> FittedModel:
+    weights = problem.weights(model.mean_square)
+    assert model.jacobian is not None
+    return FittedModel(
+        model.hypothesis, model.residual, model.jacobian, weighted_cost(model.residual, weights)
+    )
+
+
+def _refit_without_each(
+    problem: Problem, fitted: FittedModel, iterations: int
+) -> list[FittedModel]:
+    """The model refitted without each of its effects; starts with the Jacobian of the model.
+
+    Args:
+        problem: with the corrections at the model.
+    """
+    terms = fitted.hypothesis.terms
+    return fit(
+        problem, [fitted.hypothesis.without(t) for t in terms],
+        problem.weights(fitted.mean_square), problem.fit,
+        iterations=iterations, slopes=False,
+        jacobians=[fitted.jacobian[:, :, fitted.hypothesis.parameters_without(t)] for t in terms],
+    ) if terms else []  # fmt: skip
+
+
+def _notes_on_missing_joints(
+    realization: Realization, trials: Sequence[Trial], joints: Sequence[str]
+) -> list[str]:
+    """Notes on the joints of the model that are not in every recording."""
+    notes = []
+    for joint in realization.joints:
+        if joint in joints:
+            continue
+        lacking = [t.path.name for t in trials if joint not in t.joints]
+        if lacking and len(lacking) < len(trials):
+            lack = "lacks" if len(lacking) == 1 else "lack"
+            notes.append(f"joint {joint!r} is left out: {', '.join(lacking)} {lack} it")
+        elif lacking:
+            notes.append(
+                f"joint {joint!r} is in no recording: it is simulated from the model's initial "
+                "position, and its influence on the other joints is not tested"
+            )
+    return notes

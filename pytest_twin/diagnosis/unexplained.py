@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.build_problem import residuals_everywhere
 from pytest_twin.diagnosis.locate import (
     TimeAndRegime,
     compute_missing_force,
@@ -16,7 +17,7 @@ from pytest_twin.diagnosis.locate import (
 )
 from pytest_twin.diagnosis.locate_settings import LOCATE
 from pytest_twin.diagnosis.prepare import NOISE, PreparedProblem
-from pytest_twin.diagnosis.search_result import SearchResult, residuals_everywhere
+from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.trials import TrialSet
 
 

@@ -2,68 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 
 Verdict = Literal["no_mismatch", "explained", "improved", "unexplained"]
 
 UNSEEN = 1e6
 """Floor in rad or m of a joint whose encoder gives no information, so that it has no weight."""
-
-
-def reduces_error_enough(
-    floor: FloatArray,
-    before: FloatArray,
-    after: FloatArray,
-    whole: FloatArray,
-    floors: float,
-) -> bool:
-    """Whether an effect reduces the error of at least one signal enough to be accepted.
-
-    Args:
-        floor: (signals,) noise floor.
-        before, after: (signals,) mean squared residuals without and with the effect.
-        whole: (signals,) mean squared residuals of the nominal model.
-        floors: RMS residual in noise floors that an effect must remove at least.
-    """
-    square = floor**2
-    reduction = before - after
-    remaining = np.maximum(before - square, 0.2 * square)
-    nominal = np.clip(whole - square, 0.2 * square, VERDICT.most_floors**2 * square)
-    above_noise = (floors**2 - 1.0) * square
-    required = np.maximum.reduce(
-        [above_noise, VERDICT.share_of_rest * remaining, VERDICT.share_of_all * nominal]
-    )
-    return bool((reduction >= required).any())
-
-
-def own_mismatch(
-    floor: FloatArray, whole: FloatArray, left: FloatArray, acting: NDArray[np.bool_]
-) -> FloatArray:
-    """(signals,) part of the nominal squared error that may remain because an effect is inexact.
-
-    An inexact effect causes a residual at the joints on which it acts. At other joints at most the
-    same share of the error can remain, because the effect reaches them only through the mechanism.
-
-    Args:
-        floor: (signals,) noise floor.
-        whole: (signals,) mean squared residuals of the nominal model.
-        left: (signals,) mean squared residuals with all accepted effects.
-        acting: (signals,) whether an accepted effect acts on the joint of the signal.
-    """
-    if not acting.any():
-        return whole
-    square = floor**2
-    shares = np.maximum(left, square) / np.maximum(whole, square)
-    elsewhere = min(float(np.max(shares[acting])) / VERDICT.share_of_all, 1.0)
-    return np.where(acting, whole, elsewhere * whole)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +40,15 @@ class JointError:
         if left <= 0.0:
             return 0.0
         return min(left / mismatch, 1.0) if mismatch > 0.0 else 1.0
+
+    @property
+    def unexplained_log_share(self) -> float:
+        """Remaining share of the log-likelihood between the nominal model and the noise floor."""
+        if self.is_at_floor:
+            return 0.0
+        if self.after >= self.before:
+            return 1.0
+        return math.log(self.after / self.floor) / math.log(self.before / self.floor)
 
     @property
     def is_mismatched(self) -> bool:

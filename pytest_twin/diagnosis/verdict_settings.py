@@ -22,10 +22,6 @@ class VerdictSettings:
         of_travel: share of a joint's travel up to which an error is of no consequence where small
             corrections of the model explain it: 1 mrad of 1 rad is at the repeatability of ordinary
             arms.
-        share_of_rest: share of the remaining error that an effect must remove at some joint.
-        share_of_all: share of the nominal model's error that it must remove there. Less is within
-            the accuracy of the simulation.
-        most_floors: floors up to which the nominal model's error counts in ``share_of_all``.
     """
 
     at_floor: float = 3.0
@@ -33,9 +29,6 @@ class VerdictSettings:
     left: float = 0.02
     left_floors: float = 10.0
     of_travel: float = 1e-3
-    share_of_rest: float = 0.1
-    share_of_all: float = 0.003
-    most_floors: float = 100.0
 
 
 VERDICT = VerdictSettings()

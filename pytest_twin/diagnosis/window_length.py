@@ -31,7 +31,7 @@ def window_of_errors(problem: Problem) -> float | None:
 
 
 def model_follows_recordings(problem: Problem, left: FloatArray) -> bool:
-    """Whether the RMS error of every joint is small against its travel in a segment.
+    """Whether the RMS error of every joint that moves is small against its travel in a segment.
 
     Args:
         left: (samples, signals) residuals of all segments.
@@ -40,4 +40,6 @@ def model_follows_recordings(problem: Problem, left: FloatArray) -> bool:
     joints = len(problem.joints)
     travel = np.array([np.ptp(s.position, axis=0) for s in segments])
     mean_square = np.mean(left[:, :joints] ** 2, axis=0)
-    return bool((mean_square <= WINDOWS.near**2 * np.mean(travel**2, axis=0)).all())
+    square_travel = np.mean(travel**2, axis=0)
+    rests = square_travel <= (WINDOWS.at_rest * problem.floor) ** 2
+    return bool((rests | (mean_square <= WINDOWS.near**2 * square_travel)).all())

@@ -18,6 +18,7 @@ class WindowSettings:
             this multiple of its typical value: a command jumps there.
         near: largest RMS error of a joint, as a share of its RMS travel in a window, for windows of
             the usual length.
+        at_rest: travel in noise floors up to which a joint rests, so that its travel is no measure.
         shortest: shortest useful window, s. The initial state is estimated from samples around its
             start.
         beginning: duration in s of the beginning of a recording over which both initial velocities
@@ -35,6 +36,7 @@ class WindowSettings:
     fewest_samples: int = 8
     rough: float = 4.0
     near: float = 0.25
+    at_rest: float = 10.0
     shortest: float = 0.1
     beginning: float = 0.25
     velocity_misfit: float = 0.2

@@ -103,14 +103,6 @@ class Hypothesis:
             added = added.with_term(term, start)
         return added
 
-    def with_values_of(self, other: Hypothesis) -> Hypothesis:
-        """The same terms; the parameters of shared terms are taken from ``other``."""
-        theta = self.theta.copy()
-        for t in self.terms:
-            if t in other.terms:
-                theta[self.slice_of(t)] = other.theta[other.slice_of(t)]
-        return self.with_theta(theta)
-
     def more_terms(self, than: Hypothesis) -> int:
         """Number of terms minus the number of terms of ``than``."""
         return len(self.terms) - len(than.terms)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.diagnosis.diagnose import StructureSearch, diagnose
+from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
@@ -37,7 +37,6 @@ def write_diagnosis(  # noqa: PLR0913
     progress: Callable[[float], None],
     run: Run | None = None,
     record_folder: Path | None = None,
-    find: StructureSearch | None = None,
 ) -> dict[str, Any]:
     """Diagnose a model, and write the result into an empty folder.
 
@@ -50,7 +49,6 @@ def write_diagnosis(  # noqa: PLR0913
         progress: called with the fraction that is done, 0 to 1.
         run: time limit and receiver of progress messages; no time limit by default.
         record_folder: folder that ``folder`` becomes; itself by default.
-        find: another search for effects, as of :func:`~pytest_twin.diagnosis.diagnose.diagnose`.
 
     Returns:
         ``verdict``, and ``words``: the lines for a terminal.
@@ -63,7 +61,7 @@ def write_diagnosis(  # noqa: PLR0913
     with suppress_mujoco_warnings():
         found = diagnose(
             realization, trials,
-            inherited=inherited, threads=threads, run=run, progress=progress, find=find,
+            inherited=inherited, threads=threads, run=run, progress=progress,
         )  # fmt: skip
         (folder / REALIZATION).mkdir()
         patched = write_realization(

@@ -45,7 +45,7 @@ def view_of(
         step_left=tested.problem.step_left,
         native=tuple(f"{_at(e)}: {e.written}" for e in patched.effects if e.written),
         outside_mjcf=tuple(_at(e) for e in patched.outside_mjcf),
-        tried=found.selected.candidate_count,
+        tried=found.candidate_count,
         laws={id: (law.law, law.source) for id, law in catalogue().items()},
         at_floor=VERDICT.at_floor,
     )

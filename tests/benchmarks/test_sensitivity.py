@@ -19,7 +19,7 @@ BENCHMARKS = Path(sensitivity.__file__).parent
 FIELDS = sensitivity.settings_fields()
 EVEN, EARNS = (
     next(field for field in FIELDS if field.name == name)
-    for name in ("VelocitySettings.even", "SelectionSettings.earns")
+    for name in ("VelocitySettings.even", "SearchSettings.earns")
 )
 USUAL = {"verdict": "explained", "findings": {"delay": {"delay": 0.02}}, "simulations": 9}
 
@@ -31,16 +31,14 @@ def row(field: Field, altering: set[tuple[str, float]], answers: Answers) -> str
 
 def test_fields_of_the_search_are_among_those_that_are_measured() -> None:
     assert {f.name.partition(".")[0] for f in FIELDS} >= {
-        "SelectionSettings",
-        "PruningSettings",
-        "StructureSearchSettings",
+        "SearchSettings",
         "UnitSettings",
     }
 
 
 def test_a_change_that_alters_no_comparison_needs_no_run(tmp_path: Path) -> None:
     line = row(EARNS, set(), Answers(tmp_path / "answers.jsonl"))
-    assert line == "| `SelectionSettings.earns` | 5 | 0 | 1 |  | same | same |"
+    assert line == "| `SearchSettings.earns` | 5 | 0 | 1 |  | same | same |"
 
 
 def test_a_change_that_may_alter_the_result_is_listed_after_its_run(tmp_path: Path) -> None:
@@ -51,7 +49,7 @@ def test_a_change_that_may_alter_the_result_is_listed_after_its_run(tmp_path: Pa
     answers.add("one", EARNS.name, 2.5, other)
     stored = Answers(tmp_path / "answers.jsonl")
     line = row(EARNS, altering, stored)
-    assert line == "| `SelectionSettings.earns` | 5 | 0 | 1 | 1 of 1 | one: names friction | same |"
+    assert line == "| `SearchSettings.earns` | 5 | 0 | 1 | 1 of 1 | one: names friction | same |"
 
 
 def test_a_stopped_measurement_goes_on_with_the_stored_result_of_a_case(tmp_path: Path) -> None:

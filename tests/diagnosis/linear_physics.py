@@ -14,7 +14,8 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import CandidateSensitivities, ResidualView
 from pytest_twin.diagnosis.first_order.bins import Bins
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
-from pytest_twin.diagnosis.one_search.physics import Physics, View
+from pytest_twin.diagnosis.search.linearized_view import View
+from pytest_twin.diagnosis.search.physics import Physics
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import fit

@@ -19,7 +19,6 @@ from pytest_twin.diagnosis.signal_meaning.command_interpolation import (
     decide_interpolation,
 )
 from pytest_twin.diagnosis.signal_meaning.fact import Fact, unknown
-from pytest_twin.diagnosis.signal_meaning.interpolation_after_search import explains_as_much
 from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals
 from pytest_twin.diagnosis.signal_meaning.step_times import step_intervals
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
@@ -241,15 +240,6 @@ def test_a_delay_of_half_a_period_has_half_confidence_if_commands_may_be_ramped(
 def test_findings_do_not_change_if_the_interpolation_is_known() -> None:
     known = explained_by_delay(0.002)
     assert with_interpolation_uncertainty(known, None) is known
-
-
-def test_an_effect_of_effort_readings_counts_although_it_changes_no_position() -> None:
-    floor = np.array([1e-4, 0.01])
-    with_effect, without = np.full((50, 2), [1e-3, 0.01]), np.full((50, 2), [1e-3, 0.5])
-    assert explains_as_much(with_effect, without, floor)
-    assert not explains_as_much(without, with_effect, floor)
-    # Below the noise floor, residuals are equal.
-    assert explains_as_much(with_effect, np.full((50, 2), [1e-3, 0.001]), floor)
 
 
 def test_a_declared_interpolation_is_not_estimated(tmp_path: Path) -> None:

@@ -13,17 +13,12 @@ import pytest
 from touching_arm import FRICTION, SOLREF, case, mjcf
 
 from pytest_twin import cli
-from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.locate import locate_error, smooth_motions
 from pytest_twin.diagnosis.patched.native_contact import write_contact
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
-from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search_recordings import add_contact_effects_again
-from pytest_twin.diagnosis.search_result import search
-from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.effects.contact_geoms import CONTACT_DISTANCE, find_contact_geoms
 from pytest_twin.errors import RecordingError
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
@@ -90,29 +85,6 @@ def test_viscous_friction_and_contact_stiffness_are_found_together(
     ):
         assert estimate["ci95"][0] <= hidden <= estimate["ci95"][1]
         assert estimate["value"] == pytest.approx(hidden, rel=0.1)
-
-
-def test_a_contact_effect_that_friction_hid_is_found_by_a_second_search(
-    tmp_path: Path,
-) -> None:
-    model, *files = map(
-        Path,
-        case(tmp_path, ONE, seconds=1.2, solref=(SOLREF[0], SOLREF[1] * 1.6**-0.5), damping=0.2),
-    )
-    loaded = load_model(model)
-    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
-    prepared = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
-    # As after a search whose simulations were used up before it reached contact effects.
-    no_contact = replace(prepared, problem=replace(prepared.problem, family="friction"))
-    found = search(no_contact, trials, EffectSelection(no_contact.problem))
-    found = replace(found, prepared=prepared)
-    friction = {t.effect for t in found.explanation.hypothesis.terms}
-    assert friction == {"viscous_friction"}
-    assert found.has_diverged
-    more = add_contact_effects_again(found, Run())
-    assert {f.effect for f in more.explanation.findings} == friction | {"contact_stiffness"}
-    assert more.verdict == "explained"
-    assert add_contact_effects_again(more, Run()) is more
 
 
 def test_windows_without_contact_are_away_from_the_table(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from proposed import proposed
+from searched import ProblemPhysics
 from test_first_order import problem_of
 from two_pendulums import case
 
@@ -143,7 +143,8 @@ def test_the_search_simulates_starts_that_an_installed_effect_proposes() -> None
     assert start.parameters == pytest.approx([2.9])
     assert starts_at(problem, EMPTY, Term("effort_cogging", 1)) == []
     assert starts_at(problem, EMPTY.with_term(gear, np.array([2.0])), gear) == []
-    both = next(h for h in proposed(problem, EMPTY) if gear in h.terms)
+    starts = ProblemPhysics(problem).starts(EMPTY, np.ones(2, dtype=bool))
+    both = next(h for _, h in starts if gear in h.terms)
     assert set(both.terms) == {gear, armature}
     assert both.theta[both.slice_of(gear)] == pytest.approx([2.9])
     assert both.theta[both.slice_of(armature)] == pytest.approx([0.01])

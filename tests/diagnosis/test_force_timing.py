@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from searched import nominal_view
 from test_elastic_transmissions import single_effect
 from test_first_order import SHOULDER, normal_equations, problem_of
 
@@ -16,8 +17,6 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.linearized_view import linearize_around
-from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.estimation import least_squares as fit_module
 from pytest_twin.estimation.hypothesis import EMPTY, Term
 from pytest_twin.estimation.least_squares import distant_steps, fit
@@ -61,10 +60,10 @@ def test_a_fit_finds_the_start_time_of_an_external_force(
 
 
 def test_the_linearized_fit_finds_the_start_time_of_an_external_force(problem: Problem) -> None:
-    linearized = linearize_around(ModelComparison(problem).nominal)
+    linearized = nominal_view(problem)
     assert linearized.linear is not None
     start = EMPTY.with_term(FORCE, parameters_with_late_start(problem, GRID))
-    (found,) = fit_linearized(linearized.linear, linearized.view, [start], 6)
+    (found,) = fit_linearized(linearized.linear, linearized.residual, [start], 6)
     assert start_time(problem, found.hypothesis.theta) == pytest.approx(TRUE["start"], abs=NEAR)
 
 

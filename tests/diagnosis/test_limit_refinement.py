@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from searched import named, searched
 from test_first_order import ELBOW, SHOULDER, problem_of, rate
 
 from pytest_twin.diagnosis.first_order.beam_search import (
@@ -15,9 +16,6 @@ from pytest_twin.diagnosis.first_order.beam_search import (
 from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
 from pytest_twin.diagnosis.first_order.sensitivities import linearize
-from pytest_twin.diagnosis.search.elimination import eliminate
-from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.structure_search.search import StructureSearch
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.proposal import sizes_up_to_bound
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
@@ -78,10 +76,7 @@ def test_a_torque_speed_limit_without_slope_is_simplified_to_a_saturation() -> N
     problem = problem_of("position", {Term("torque_saturation", SHOULDER): {"inverse_limit": 0.25}})
     curve, flat = Term("torque_speed_limit", SHOULDER), Term("torque_saturation", SHOULDER)
     stall = 4.0 / problem.scales.value(curve.parameters[1], SHOULDER)
-    comparison = ModelComparison(problem)
-    general = Hypothesis((curve,), np.array([1e-4, stall]))
-    model = comparison.fit_models([general], comparison.nominal, 2, slopes=True)[0]
-    found = eliminate(comparison, model).best.hypothesis
+    found = named(problem, Hypothesis((curve,), np.array([1e-4, stall])))
     assert found.terms == (flat,)
     limit = 1.0 / (found.theta[0] * problem.scales.value(flat.parameters[0], SHOULDER))
     assert limit == pytest.approx(4.0, rel=0.02)
@@ -121,7 +116,7 @@ def test_a_narrow_minimum_outside_the_starting_grid_is_found() -> None:
     scale = problem_of("position", {}).scales.value(parameter, ELBOW)
     problem = problem_of("position", {term: rate(inverse_rate=hidden * scale)})
     hidden *= scale / problem.scales.value(parameter, ELBOW)
-    found = StructureSearch(problem).run().model.hypothesis
+    found = searched(problem).incumbent.hypothesis
     assert found.terms == (term,)
     assert found.theta[0] == pytest.approx(hidden, rel=0.02)
 

@@ -8,17 +8,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from searched import ProblemPhysics, searched
 from two_pendulums import START_NS, case
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.effect_selection import EffectSelection
 from pytest_twin.diagnosis.noise import timing_noise
 from pytest_twin.diagnosis.prepare import NOISE as SENSOR
 from pytest_twin.diagnosis.prepare import STEP as STEPS
 from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
-from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search_result import search
-from pytest_twin.diagnosis.structure_search.proposals import effort_sensor_terms
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording
@@ -167,13 +164,13 @@ def test_a_scale_error_of_efforts_is_detected_between_jumps(
     # Effects of effort sensors are simulated until they are in the fit.
     floor = problem.effort_floor * level / (1.6 if is_detected else 1.4)
     problem = replace(problem, effort_floor=floor)
-    best = ModelComparison(problem).nominal
-    starts = effort_sensor_terms(best)
+    physics = ProblemPhysics(problem)
+    mean_square = np.mean(problem.residuals([EMPTY], problem.fit)[0] ** 2, axis=0)
+    starts = physics.sensor_effects(EMPTY, mean_square)
     effects = {h.terms[-1].effect for h in starts}
     assert effects == ({"effort_scale", "effort_bias"} if is_detected else set())
     for start in starts:
-        named = replace(best, fitted=replace(best.fitted, hypothesis=start))
-        others = [h.terms for h in effort_sensor_terms(named)]
+        others = [h.terms for h in physics.sensor_effects(start, mean_square)]
         assert [t[-1].effect for t in others] == [*(effects - {start.terms[-1].effect})]
 
 
@@ -266,8 +263,10 @@ def test_an_effect_below_a_floor_that_was_too_high_is_found_after_the_floor_is_l
     measured = found.problem.floor
     raised = with_raised_floor(found, 40.0)
     hidden = raised.problem.floor[0]
-    result = search(raised, trials, EffectSelection(raised.problem))
-    best = result.selected.best
+    first = searched(raised.problem).incumbent
+    lower = raised.with_lower_floor(first.hypothesis)
+    assert lower is not None
+    best = searched(lower.problem, first.hypothesis).incumbent
     assert {t.effect for t in best.hypothesis.terms} == {"viscous_friction", "command_delay"}
-    assert float(np.sqrt(best.fitted.mean_square[0])) < measured[0] < 0.3 * hidden
-    assert result.prepared.problem.floor[0] <= measured[0]
+    assert float(np.sqrt(best.mean_square[0])) < measured[0] < 0.3 * hidden
+    assert lower.problem.floor[0] <= measured[0]

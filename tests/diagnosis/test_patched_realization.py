@@ -11,12 +11,12 @@ import pytest
 from test_first_order import carried, link
 from two_pendulums import JOINTS, mjcf, record
 
+from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import read_effects
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import PreparedProblem, prepare
-from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_equivalent_sets import PENDULUM, SERVO, problem_of, with_values
+from searched import nominal_view
+from simulated_robots import PENDULUM, SERVO, problem_of, with_values
 
 from pytest_twin.diagnosis.physical_totals import (
     impossible_effects,
@@ -15,8 +16,6 @@ from pytest_twin.diagnosis.physical_totals import (
 )
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange, unidentifiable_effects
-from pytest_twin.diagnosis.search.linearized_view import linearize_around
-from pytest_twin.diagnosis.search.model_comparison import ModelComparison
 from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.estimation.hypothesis import Term
 
@@ -141,12 +140,12 @@ def test_a_shape_parameter_within_the_identifiable_range_is_accepted(
 
 
 def test_no_starting_value_is_outside_the_identifiable_range(problem: Problem) -> None:
-    linearized = linearize_around(ModelComparison(problem).nominal)
+    linearized = nominal_view(problem)
     p = next(p for p in WARM_UP.parameters if p.name == "warm_up_time")
     k = WARM_UP.parameters.index(p)
     starts = [
         float(r.start[k]) * problem.scales.value(p, 0)
-        for r in linearized.candidate_sensitivities.responses
+        for r in linearized.sensitivities.responses
         if r.term == WARM_UP
     ]
     assert starts

@@ -144,8 +144,10 @@ def test_the_unexplained_share_of_the_error_at_a_joint_is_taken_from_the_confide
         return found.confidence
 
     assert confidence(sure, left=noise, right=residual) == 1.0
-    assert confidence(sure, left=residual, right=noise) == pytest.approx(0.75, abs=1e-3)
-    assert confidence(of_robot, left=noise, right=residual) == pytest.approx(0.75, abs=1e-3)
+    # Half the error remains: of the way to the floor, a factor of 100, a factor of 2 is done.
+    explained = np.log(2.0) / np.log(100.0)
+    assert confidence(sure, left=residual, right=noise) == pytest.approx(explained)
+    assert confidence(of_robot, left=noise, right=residual) == pytest.approx(explained)
     assert confidence(of_robot, left=noise, right=noise) == 1.0
 
 

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_elastic_transmissions import scored_model, single_effect
+from searched import named, searched
+from test_elastic_transmissions import single_effect
 from test_first_order import CRANK_JOINT, ELBOW, ROBOT, SHOULDER, carried, link, problem_of
 
-from pytest_twin.diagnosis.first_order.sensitivities import linearize
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search.elimination import (
-    eliminate,
-    evidence_tolerance,
-    plausible_simplifications,
-)
-from pytest_twin.diagnosis.search.model_comparison import ModelComparison
+from pytest_twin.diagnosis.search.posterior import posterior
 from pytest_twin.diagnosis.search.simplification import (
     equal_sized_forms,
     merge_joints,
@@ -102,12 +97,7 @@ def test_a_smaller_torque_constant_and_less_friction_can_be_merged_into_servo_ga
         (viscous, {"coefficient": -0.098}),
     ):
         two = two.with_term(term, single_effect(problem, term, value).theta)
-    comparison = ModelComparison(problem)
-    best = scored_model(comparison, two)
-    linear = linearize(problem, problem.fit, two)
-    (both,) = plausible_simplifications(
-        comparison, best, linear, merge_terms(problem, two), lambda other: 0.0
-    )
+    both = named(problem, two)
     assert set(both.terms) == {BACKLASH, gain}
     assert both.theta[both.slice_of(gain)] == pytest.approx([-0.26, -0.4], abs=0.01)
 
@@ -145,41 +135,22 @@ def test_a_changed_last_link_has_its_simpler_forms_and_a_payload_as_alternatives
 
 def test_a_heavier_link_is_reduced_to_its_simplest_form() -> None:
     problem = problem_of("position", {LINK: link(0, relative_error=0.4)})
-    comparison = ModelComparison(problem)
     start = single_effect(problem, LINK, link(3, mass_error=0.4, inertia_error=0.4))
-    best = comparison.fit_to_convergence(comparison.fit_models([start], comparison.nominal, 2)[0])
-    assert form_of(best.hypothesis, LINK) == 3.0
-    simplest = eliminate(comparison, best).best.hypothesis
+    simplest = named(problem, start)
     assert form_of(simplest, LINK) == 0.0
     assert simplest.theta[0] == pytest.approx(0.4, abs=0.01)
 
 
-def test_a_simpler_form_may_have_less_evidence_by_a_share_of_that_of_its_law() -> None:
-    problem = problem_of("position", {LINK: link(3, mass_error=0.5, tangential=0.02)})
-    comparison = ModelComparison(problem)
-    true = single_effect(problem, LINK, link(3, mass_error=0.5, tangential=0.02))
-    best = scored_model(comparison, true)
-    tolerance = evidence_tolerance(comparison, best, linearize(problem, problem.fit, true))
-    simpler = single_effect(problem, LINK, link(1, mass_error=0.5))
-    assert tolerance(simpler) > 5.0
-    assert tolerance(EMPTY) == 0.0
-    # A form with as many parameters is not simpler, so it must have more evidence.
-    assert tolerance(true) < 0.0
-    # The tolerance is too small for a form that leaves a visible residual.
-    assert form_of(eliminate(comparison, best).best.hypothesis, LINK) == 3.0
-
-
-def test_a_wrong_wavenumber_is_corrected_after_the_selection_of_the_effect() -> None:
+def test_other_wavenumbers_are_proposed_and_the_right_one_is_found() -> None:
     friction = Term("position_dependent_friction", ELBOW)
     true = {"mean": 0.3, "sine": 0.15, "cosine": 0.1, "harmonic": 1.0}
     problem = problem_of("position", {friction: true})
     wavenumber = [p.name for p in friction.parameters].index("harmonic")
-    comparison = ModelComparison(problem)
-    best = scored_model(comparison, single_effect(problem, friction, true | {"harmonic": 2.0}))
-    alternatives = {h.theta[wavenumber] for h in equal_sized_forms(best.hypothesis)}
+    wrong = single_effect(problem, friction, true | {"harmonic": 2.0})
+    alternatives = {h.theta[wavenumber] for h in equal_sized_forms(wrong)}
     assert 1.0 in alternatives
     assert 2.0 not in alternatives
-    found = eliminate(comparison, best).best.hypothesis
+    found = named(problem)
     assert found.theta == pytest.approx(single_effect(problem, friction, true).theta, abs=0.02)
 
 
@@ -205,21 +176,18 @@ def test_additional_link_inertia_has_an_equal_rotor_inertia_as_alternative() -> 
         assert not any(LINK not in h.terms for h in simpler_forms(problem, other))
 
 
-def test_inertia_of_link_or_rotor_that_cannot_be_distinguished_is_assigned_to_the_rotor() -> None:
+def test_inertia_of_link_or_rotor_that_cannot_be_distinguished_shares_the_confidence() -> None:
     """With one joint, link inertia about the center of mass acts like rotor inertia."""
     problem = problem_of("effort", {CRANK_ROTOR: {"inertia": 0.02}})
-    comparison = ModelComparison(problem)
-    start = single_effect(problem, CRANK_LINK, link(2, inertia_error=2.0))
-    best = comparison.fit_to_convergence(comparison.fit_models([start], comparison.nominal, 2)[0])
-    assert best.hypothesis.terms == (CRANK_LINK,)
-    simplest = eliminate(comparison, best).best.hypothesis
-    assert simplest.terms == (CRANK_ROTOR,)
-    scale = problem.scales.value(CRANK_ROTOR.parameters[0], CRANK_JOINT)
-    assert simplest.theta[0] * scale == pytest.approx(0.02, rel=0.05)
+    found = searched(problem)
+    (term,) = found.incumbent.hypothesis.terms
+    shares = posterior(found)
+    assert shares.confidence[term] == pytest.approx(0.5, abs=0.1)
+    (other,) = [a.new for a in shares.alternatives[term] if a.confidence > 0.2]
+    assert {term, *other} == {CRANK_ROTOR, CRANK_LINK}
 
 
 def test_inertia_that_a_preceding_joint_moves_too_is_not_assigned_to_the_rotor() -> None:
     problem = problem_of("position", {LINK: link(2, inertia_error=4.0)})
-    comparison = ModelComparison(problem)
-    best = scored_model(comparison, single_effect(problem, LINK, link(2, inertia_error=4.0)))
-    assert eliminate(comparison, best).best.hypothesis.terms == (LINK,)
+    start = single_effect(problem, LINK, link(2, inertia_error=4.0))
+    assert named(problem, start).terms == (LINK,)

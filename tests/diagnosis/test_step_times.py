@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from recorded_pendulum import Reality, cell
 
+from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.signal_meaning.recorded_signals import RecordedSignals
 from pytest_twin.diagnosis.signal_meaning.step_times import (

@@ -10,7 +10,7 @@ from test_noise_floor import TICK, mjcf, prepared
 from two_pendulums import START_NS
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.search_result import notes_on_low_weights
+from pytest_twin.diagnosis.build_problem import notes_on_low_weights
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.mcap import JointSeries, read_recording, write_recording

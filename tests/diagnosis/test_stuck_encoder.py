@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from test_integrator_detection import ARM, STEP, recorded
+from test_simulation_settings import ARM, STEP, recorded
 
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.trials import read_trials

@@ -7,13 +7,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import PreparedProblem
-from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.pruning import PrunedModel
-from pytest_twin.diagnosis.search.scored_model import SelectedModel
-from pytest_twin.diagnosis.search_result import SearchResult, build_problem, residuals_everywhere
+from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import locate_unexplained
 from pytest_twin.diagnosis.verdict import JointError
@@ -62,13 +60,10 @@ def search_without_findings(prepared: PreparedProblem, trials: TrialSet) -> Sear
     left = residuals_everywhere(problem, EMPTY)
     rms = float(np.sqrt(np.mean(left**2)))
     errors = {"lift": JointError(rms, rms, float(problem.floor[0]), "rad")}
-    nominal = ModelComparison(problem).nominal
-    selected = SelectedModel(nominal, nominal)
     return SearchResult(
         prepared,
         trials,
-        selected,
-        PrunedModel(nominal.fitted, [], []),
+        0,
         Explanation((), EMPTY),
         left,
         left,

@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from one_joint_plant import JOINT, STEP, Hidden, record
 
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.diagnosis.locate import TimeAndRegime
@@ -25,15 +26,7 @@ from pytest_twin.diagnosis.patched.ranges import describe_range_exits
 from pytest_twin.diagnosis.patched.replay import replay_patched
 from pytest_twin.diagnosis.patched.write import write_realization
 from pytest_twin.diagnosis.prepare import PreparedProblem
-from pytest_twin.diagnosis.search.model_comparison import ModelComparison
-from pytest_twin.diagnosis.search.pruning import PrunedModel
-from pytest_twin.diagnosis.search.scored_model import SelectedModel
-from pytest_twin.diagnosis.search_result import (
-    SearchResult,
-    build_problem,
-    joint_errors,
-    residuals_everywhere,
-)
+from pytest_twin.diagnosis.search_result import SearchResult, joint_errors
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.unnamed_law import table_fit
 from pytest_twin.diagnosis.unnamed_law.confirmation import confirm_on_test, fit_laws_to_residual
@@ -192,14 +185,12 @@ def test_the_fitted_curve_equals_the_hidden_force_within_its_confidence_band(
 def search_without_findings(prepared: PreparedProblem, trials: TrialSet) -> SearchResult:
     """The result of a search that found no effect."""
     problem = prepared.problem
-    nominal = ModelComparison(problem).nominal
     left = residuals_everywhere(problem, EMPTY)
     errors = joint_errors(prepared, left, left)
     return SearchResult(
         prepared,
         trials,
-        SelectedModel(nominal, nominal),
-        PrunedModel(nominal.fitted, [], []),
+        0,
         Explanation((), EMPTY),
         left,
         left,

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
 
-from pytest_twin.diagnosis.effect_selection import EffectSelection
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
+from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.longest_windows import errors_over_longest_windows
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.run import Run
-from pytest_twin.diagnosis.search_recordings import search_shorter_windows
-from pytest_twin.diagnosis.search_result import SearchResult, build_problem, search
-from pytest_twin.diagnosis.trials import read_trials
+from pytest_twin.diagnosis.search_result import SearchResult, joint_errors
+from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.window_length import model_follows_recordings, window_of_errors
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.loaded_model import load_model
+from pytest_twin.realization import Realization
 
 GRAVITY, NOISE = 9.81, 1e-4
 MODEL = f"""
@@ -56,20 +58,8 @@ def record_inverted_pendulum(folder: Path, seed: int, role: str, load: float) ->
     return path
 
 
-@pytest.fixture(scope="module")
-def heavy(tmp_path_factory: pytest.TempPathFactory) -> tuple[ModelSetup, SearchResult]:
-    """A payload that makes the model diverge within a window."""
-    return search_without_result(tmp_path_factory.mktemp("heavy"), load=1.2)
-
-
-@pytest.fixture(scope="module")
-def light(tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
-    """A payload with which the model still follows the recordings."""
-    return search_without_result(tmp_path_factory.mktemp("light"), load=0.02)[1]
-
-
-def search_without_result(folder: Path, load: float) -> tuple[ModelSetup, SearchResult]:
-    """Model setup and the result of a search that accepts no effect."""
+def case_of(folder: Path, load: float) -> tuple[Realization, TrialSet]:
+    """The model, and recordings with a payload of ``load`` kg."""
     model = folder / "model.xml"
     model.write_text(MODEL)
     loaded = load_model(model)
@@ -77,52 +67,43 @@ def search_without_result(folder: Path, load: float) -> tuple[ModelSetup, Search
         record_inverted_pendulum(folder, s, r, load)
         for s, r in ((1, "fit"), (2, "fit"), (3, "held_out"))
     ]
-    trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
-    setup = ModelSetup.of(loaded.realization, None, 1)
+    return loaded.realization, read_trials(files, [], loaded.topics, loaded.realization.structure)
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory: pytest.TempPathFactory) -> tuple[ModelSetup, SearchResult]:
+    """A payload with which the model still follows the recordings, and no effect."""
+    realization, trials = case_of(tmp_path_factory.mktemp("light"), load=0.02)
+    setup = ModelSetup.of(realization, None, 1)
     prepared, trials = build_problem(setup, trials, [])
-    return setup, search(
-        prepared, trials, EffectSelection(prepared.problem, max_residual_share=0.0)
-    )
+    left = residuals_everywhere(prepared.problem, EMPTY)
+    errors = joint_errors(prepared, left, left)
+    nothing = Explanation((), EMPTY)
+    return setup, SearchResult(prepared, trials, 0, nothing, left, left, errors, "unexplained")
 
 
-def test_a_payload_that_makes_the_arm_diverge_is_found_in_shorter_windows(
-    heavy: tuple[ModelSetup, SearchResult],
+def test_a_payload_that_makes_the_arm_diverge_is_found(tmp_path: Path) -> None:
+    found = diagnose(*case_of(tmp_path, load=1.2), threads=1)
+    assert found.verdict == "explained"
+    assert {t.law.family for t in found.explanation.hypothesis.terms} == {"rigid_body"}
+
+
+def test_a_model_follows_recordings_up_to_a_quarter_of_the_travel(
+    light: tuple[ModelSetup, SearchResult],
 ) -> None:
-    setup, found = heavy
-    assert found.verdict == "unexplained"
-    assert found.departs_from_recordings
-    run = Run()
-    better = search_shorter_windows(found, setup, run)
-    assert better.verdict == "explained"
-    assert {t.law.family for t in better.explanation.hypothesis.terms} == {"rigid_body"}
-    shorter = run.budget.problems[0]
-    lengths = [s.time[-1] - s.time[0] for s in shorter.simulator.segments]
-    assert max(lengths) < 0.3, "the model must follow the recordings within a window"
-    usual = found.prepared.problem.simulator.segments
-    assert better.prepared.problem.simulator.segments is usual, (
-        "the result must be compared in the usual windows"
-    )
-
-
-def test_a_model_that_follows_the_recordings_needs_no_shorter_windows(light: SearchResult) -> None:
-    assert light.verdict == "unexplained"
-    assert not light.departs_from_recordings
-
-
-def test_a_model_follows_recordings_up_to_a_quarter_of_the_travel(light: SearchResult) -> None:
-    problem = light.prepared.problem
+    problem = light[1].prepared.problem
     travel = np.array([np.ptp(s.position) for s in problem.simulator.segments])
     level = np.sqrt(np.mean(travel**2))
-    left = np.ones_like(light.before)
+    left = np.ones_like(light[1].before)
     assert model_follows_recordings(problem, 0.24 * level * left)
     assert not model_follows_recordings(problem, 0.26 * level * left)
 
 
 def test_an_error_that_short_windows_hide_is_measured_in_the_longest_that_the_model_follows(
-    tmp_path: Path,
+    light: tuple[ModelSetup, SearchResult],
 ) -> None:
     """An inverted pendulum falls faster and faster away from a model with another payload."""
-    setup, found = search_without_result(tmp_path, load=0.02)
+    setup, found = light
     short = window_of_errors(found.prepared.problem)
     assert short is not None
     longest = errors_over_longest_windows(found, setup)
@@ -130,18 +111,3 @@ def test_an_error_that_short_windows_hide_is_measured_in_the_longest_that_the_mo
     assert longest.seconds >= 2.0 * short
     (before,), (after,) = found.errors.values(), longest.errors.values()
     assert after.after / after.floor > 2.0 * before.after / before.floor
-
-
-def test_the_result_is_kept_if_shorter_windows_find_nothing(
-    heavy: tuple[ModelSetup, SearchResult], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    setup, found = heavy
-    starts = []
-
-    def search_that_finds_nothing(*problem: object) -> SearchResult:
-        starts.append(problem[3:])
-        return found
-
-    monkeypatch.setattr("pytest_twin.diagnosis.search_recordings.search", search_that_finds_nothing)
-    assert search_shorter_windows(found, setup, Run()) is found
-    assert starts == [()], "a search without findings must not start another one"

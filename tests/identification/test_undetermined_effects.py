@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from test_identify_simulation import MODEL, NOMINAL
 
+from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.estimation.hypothesis import EMPTY

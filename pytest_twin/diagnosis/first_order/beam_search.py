@@ -76,10 +76,6 @@ class ResidualView:
         mean_square: FloatArray = np.mean(self.residual**2, axis=0)
         return mean_square
 
-    def is_above(self, mean_square: FloatArray, floors: float) -> NDArray[np.bool_]:
-        """(signals,) whether the square root of a mean square exceeds ``floors`` noise floors."""
-        return np.asarray(mean_square > (floors * self.floor) ** 2)
-
     def effective_of_best(self, residuals: Sequence[FloatArray]) -> FloatArray:
         """(signals,) effective samples of the smallest of several (bins, signals) residuals."""
 

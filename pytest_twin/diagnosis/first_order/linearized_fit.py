@@ -20,8 +20,6 @@ from pytest_twin.estimation.least_squares import finite_differences, propose_ste
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
 
-NEAR_ITERATIONS, FAR_ITERATIONS = 3, 8
-"""Iterations from starts near the optimum, and from equivalents of another effect."""
 # Levenberg-Marquardt damping factors, relative to the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-2, 1.0)
 # A fit stops when a step reduces the cost by less than this share.

@@ -1,4 +1,4 @@
-"""Linearization of a fit: its residual and the sensitivities to all candidate effects."""
+"""The motion linearized around a model: its residual and the sensitivities to all candidates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pytest_twin.diagnosis.first_order.beam_search import (
     ResidualView,
     candidates,
 )
-from pytest_twin.diagnosis.first_order.bins import bins
+from pytest_twin.diagnosis.first_order.bins import Bins, bins
 from pytest_twin.diagnosis.first_order.harmonic_search import search_harmonics
 from pytest_twin.diagnosis.first_order.limit_refinement import refine_limits
 from pytest_twin.diagnosis.first_order.sensitivities import (
@@ -23,48 +23,58 @@ from pytest_twin.diagnosis.first_order.sensitivities import (
 )
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange, why_unidentifiable
-from pytest_twin.diagnosis.search.scored_model import ScoredModel
-from pytest_twin.estimation.hypothesis import Term
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 
 @dataclass(frozen=True, slots=True)
-class LinearizedView:
-    """A fit with its first-order sensitivities.
+class View:
+    """The motion linearized around a model.
 
     Attributes:
-        linear: its linearization; None if the candidates were simulated instead.
-        view: residual of the fit, and its Jacobian with respect to its own parameters.
-        candidate_sensitivities: sensitivities to the parameters of the candidates.
+        linear: the linearization; None where candidates were simulated instead.
+        bins: bins of the samples.
+        residual: residual and Jacobian of the model in bins.
+        sensitivities: of the prediction to all candidates that the model lacks.
     """
 
-    around: ScoredModel
     linear: Linearization | None
-    view: ResidualView
-    candidate_sensitivities: CandidateSensitivities
+    bins: Bins
+    residual: ResidualView
+    sensitivities: CandidateSensitivities
 
 
-def linearize_around(best: ScoredModel) -> LinearizedView:
-    """The residual of a fit and its sensitivities to all candidates."""
-    problem = best.problem
-    linear = linearize(problem, problem.fit, best.hypothesis)
-    terms = _other_candidates(best)
-    found, left = sensitivities_around(
-        linear, problem, terms, problem.fit, best.hypothesis, best.fitted.residual
-    )
-    view = residual_view(best, left)
+def linearize_around(
+    problem: Problem, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray
+) -> View:
+    """The motion linearized around a fitted hypothesis.
+
+    Args:
+        problem: with the corrections at the hypothesis.
+        residual, jacobian: of the hypothesis on the fit recordings.
+    """
+    linear = linearize(problem, problem.fit, hypothesis)
+    terms = _other_candidates(problem, hypothesis)
+    found, left = sensitivities_around(linear, problem, terms, problem.fit, hypothesis, residual)
+    view = _residual_view(problem, left, jacobian)
     found = _keep_identifiable(problem, found)
     if linear is not None and found:
         found += _keep_identifiable(
             problem,
             [
-                *refine_limits(linear, view, CandidateSensitivities(found), best.hypothesis),
+                *refine_limits(linear, view, CandidateSensitivities(found), hypothesis),
                 *search_harmonics(linear, view, terms),
             ],
         )
-    return LinearizedView(best, linear, view, CandidateSensitivities(found))
+    return View(linear, bins(problem, problem.fit), view, CandidateSensitivities(found))
 
 
-def simulate_around(best: ScoredModel, closest: int) -> LinearizedView:
+def simulate_around(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    residual: FloatArray,
+    jacobian: FloatArray,
+    closest: int,
+) -> View:
     """As :func:`linearize_around`, with candidates that are simulated at one size.
 
     The linearization holds along the measured motion. Where the simulated motion is another (dry
@@ -73,19 +83,18 @@ def simulate_around(best: ScoredModel, closest: int) -> LinearizedView:
     Args:
         closest: number of candidates that are simulated at all sizes.
     """
-    problem = best.problem
-    left = bins(problem, problem.fit).mean(best.fitted.residual)
+    binned = bins(problem, problem.fit)
+    left = binned.mean(residual)
     found = simulated_sensitivities(
-        problem, _other_candidates(best), problem.fit, best.hypothesis, left, closest
+        problem, _other_candidates(problem, hypothesis), problem.fit, hypothesis, left, closest
     )
     sensitivities = CandidateSensitivities(_keep_identifiable(problem, found))
-    return LinearizedView(best, None, residual_view(best, left), sensitivities)
+    return View(None, binned, _residual_view(problem, left, jacobian), sensitivities)
 
 
-def _other_candidates(best: ScoredModel) -> list[Term]:
-    """Candidates that the fit does not contain."""
-    named = set(best.hypothesis.terms)
-    return [t for t in candidates(best.problem) if t not in named]
+def _other_candidates(problem: Problem, hypothesis: Hypothesis) -> list[Term]:
+    """Candidates that a hypothesis does not contain."""
+    return [t for t in candidates(problem) if t not in set(hypothesis.terms)]
 
 
 def _keep_identifiable(problem: Problem, found: Sequence[Sensitivity]) -> list[Sensitivity]:
@@ -94,9 +103,7 @@ def _keep_identifiable(problem: Problem, found: Sequence[Sensitivity]) -> list[S
     return [r for r in found if not why_unidentifiable(problem, recorded, r.term, r.start)]
 
 
-def residual_view(best: ScoredModel, left: FloatArray) -> ResidualView:
+def _residual_view(problem: Problem, left: FloatArray, jacobian: FloatArray) -> ResidualView:
     """Residual ``left``, (bins, signals), with the Jacobian of a fit averaged over the bins."""
-    problem = best.problem
     binned = bins(problem, problem.fit)
-    slope = binned.mean(best.fitted.jacobian)
-    return ResidualView(left, slope, problem.signal_floor, binned.lengths)
+    return ResidualView(left, binned.mean(jacobian), problem.signal_floor, binned.lengths)

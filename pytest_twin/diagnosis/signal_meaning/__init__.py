@@ -7,9 +7,6 @@ determine the answer it is None, and later steps do not depend on it.
 """
 
 from pytest_twin.diagnosis.signal_meaning.command_interpolation import CommandInterpolation
-from pytest_twin.diagnosis.signal_meaning.interpolation_after_search import (
-    interpolation_with_fewer_effects,
-)
 from pytest_twin.diagnosis.signal_meaning.interpolation_uncertainty import (
     with_interpolation_uncertainty,
 )
@@ -19,6 +16,5 @@ __all__ = [
     "CommandInterpolation",
     "RecordedSignals",
     "determine_signals",
-    "interpolation_with_fewer_effects",
     "with_interpolation_uncertainty",
 ]

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin.diagnosis.integrator_detection import SUBSTEPS
+from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import NOISE
-from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning.command_interpolation import (
     MEAN_DELAY,
     AssumptionResiduals,
@@ -33,6 +32,7 @@ from pytest_twin.diagnosis.signal_meaning.joint_fit import (
 )
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION
 from pytest_twin.diagnosis.signal_meaning.step_times import step_intervals
+from pytest_twin.diagnosis.simulation_settings import SUBSTEPS
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.recording_options import COMMAND_BETWEEN, CommandBetween
 from pytest_twin.trial import Trial
@@ -70,7 +70,7 @@ def fit_interpolation(
         trials: recordings with the same command period.
 
     Raises:
-        TwinError: as :func:`~pytest_twin.diagnosis.search_result.build_problem`.
+        TwinError: as :func:`~pytest_twin.diagnosis.build_problem.build_problem`.
     """
     chosen = _fastest_recordings(trials)
     trials_by_interpolation = tuple(

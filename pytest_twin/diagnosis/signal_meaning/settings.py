@@ -38,7 +38,6 @@ class InterpolationSettings:
             model.
         most_doubted: largest confidence of an effect that the interpolation of the commands may
             explain alone.
-        as_well: ratio of RMS errors up to which fewer effects explain a joint equally well.
         same_period: ratio of command periods up to which recordings are treated as from one
             controller.
         jump: a command steps if it changes in one period by this many times the change in the
@@ -60,7 +59,6 @@ class InterpolationSettings:
     model_apart: float = 4.0
     model_closer: float = 2.0
     most_doubted: float = 0.5
-    as_well: float = 1.1
     same_period: float = 1.2
     jump: float = 5.0
     jump_of_range: float = 0.1

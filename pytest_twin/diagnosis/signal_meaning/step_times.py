@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.search_result import build_problem
 from pytest_twin.diagnosis.signal_meaning.joint_fit import SmoothParameterFit, SmoothParameters
 from pytest_twin.diagnosis.signal_meaning.settings import INTERPOLATION, JOINT_FIT
 from pytest_twin.diagnosis.trials import TrialSet

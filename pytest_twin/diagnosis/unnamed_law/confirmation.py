@@ -9,14 +9,10 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search_result import (
-    SearchResult,
-    build_problem,
-    joint_errors,
-    residuals_everywhere,
-)
+from pytest_twin.diagnosis.search_result import SearchResult, joint_errors
 from pytest_twin.diagnosis.unexplained import locate_unexplained
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws, fit_free_laws
 from pytest_twin.diagnosis.unnamed_law.law import FreeLaw, law_json

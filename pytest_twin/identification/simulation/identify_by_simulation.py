@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.search_result import build_problem, joint_errors, residuals_everywhere
+from pytest_twin.diagnosis.search_result import joint_errors
 from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError

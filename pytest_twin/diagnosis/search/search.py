@@ -1,0 +1,415 @@
+"""The search: linearize around the incumbent, propose, simulate, fit, accept at most one model.
+
+The state is an incumbent and a pool of all simulated models. The sequence of incumbents depends on
+the data alone and starts with the nominal model. The score of the incumbents always increases. A
+limit of time or simulations ends the sequence earlier and changes nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.search.accept import accepts
+from pytest_twin.diagnosis.search.fit import fit_along_motion, with_linearized_jacobians
+from pytest_twin.diagnosis.search.linearized_view import View
+from pytest_twin.diagnosis.search.model import Acceptance, Model, Pool
+from pytest_twin.diagnosis.search.neighbours import (
+    Neighbour,
+    Quota,
+    confused,
+    neighbours,
+    proposed_starts,
+    simpler_or_confused,
+)
+from pytest_twin.diagnosis.search.physics import Physics
+from pytest_twin.diagnosis.search.settings import SETTINGS, SearchSettings
+from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.estimation.comparison import Comparison
+from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
+
+_FITTED_SETTINGS = 2
+"""Settings of the simulation with which the incumbent is fitted."""
+_STARTS = 4
+"""Starts that effects propose, of which a round simulates the nearest."""
+
+Listener = Callable[[Model, Model, Acceptance], None]
+"""Called with each model of a round, the incumbent, and the decision between them."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchOutcome:
+    """The last incumbent and the pool.
+
+    Attributes:
+        physics: the robot with the settings of the simulation of the incumbent.
+        nominal: the model without effects.
+        incumbents: scores of all incumbents, in order.
+        pool: all simulated models.
+        comparison: by which models were compared.
+        is_complete: whether no further proposal passes the acceptance test.
+    """
+
+    incumbent: Model
+    physics: Physics
+    nominal: Model
+    incumbents: tuple[float, ...]
+    pool: Pool
+    comparison: Comparison
+    is_complete: bool
+
+
+class Search:
+    """One search for the effects that a model lacks.
+
+    Args:
+        physics: the robot and its recordings.
+        listener: called with each decision.
+        check: called with the incumbent before each round; raises :class:`OutOfTime` where the
+            search must end.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        settings: SearchSettings = SETTINGS,
+        listener: Listener = lambda model, incumbent, decision: None,
+        check: Callable[[Model], None] = lambda incumbent: None,
+    ) -> None:
+        self.physics = physics
+        self.settings = settings
+        self.listener = listener
+        self.check = check
+        (residual,) = physics.simulate([EMPTY], EMPTY)
+        self.comparison = Comparison.of(
+            residual, physics.floor, physics.lengths, physics.recordings, len(physics.candidates)
+        )
+        self.pool = Pool(self.comparison)
+        self._passed: Model | None = None
+        nominal = self._model(EMPTY, residual, "nominal model", EMPTY)
+        self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
+        self.pool.add(self.nominal)
+
+    def run(self, starts: Sequence[Model] = (), rounds: int | None = None) -> SearchOutcome:
+        """Search until no proposal is accepted, or until a limit ends it.
+
+        Args:
+            starts: models of :meth:`simulated` that are compared first. The best one is the result
+                where a limit ends the search before its fit.
+            rounds: largest number of rounds; that of the settings by default.
+        """
+        incumbent, scores, is_complete = self.nominal, [self.nominal.score], False
+        try:
+            best = incumbent
+            for start in starts:
+                best = start if self._decide(start, best).is_accepted else best
+            if best is not incumbent:
+                incumbent = self._accept_fitted(best, incumbent) or incumbent
+                scores.append(incumbent.score)
+            for _ in range(self.settings.rounds if rounds is None else rounds):
+                self.check(incumbent)
+                better = self._round(incumbent)
+                if better is None:
+                    is_complete = True
+                    break
+                incumbent = better
+                scores.append(incumbent.score)
+        except OutOfTime:
+            # A model that passed the test is the result, although its last fit is missing.
+            incumbent = self._passed or incumbent
+        return SearchOutcome(
+            incumbent, self.physics, self.nominal, tuple(scores), self.pool, self.comparison,
+            is_complete,
+        )  # fmt: skip
+
+    def _round(self, incumbent: Model) -> Model | None:
+        """The model that replaces the incumbent; None if no proposal passes the test."""
+        if not incumbent.hypothesis.terms and not self._exceeds(incumbent, VERDICT.identifiable):
+            return None
+        if not self.physics.is_linearizable and not self._exceeds(incumbent, VERDICT.identifiable):
+            # Simulations of all candidates would explain noise only.
+            simple = simpler_or_confused(self.physics, incumbent.hypothesis)
+            models = self._simulate(simple, incumbent.corrected_at, "rival")
+            return self._accept_one(None, models, incumbent)
+        view = self._linearize(incumbent)
+        proposals = self._propose(incumbent, view)
+        chosen = self._select(proposals, incumbent)
+        models = self._simulate([n.hypothesis for n in chosen], incumbent.corrected_at, "neighbour")
+        models += self._simulate(
+            self._other_words(incumbent), incumbent.corrected_at, "other words"
+        )
+        models = self._fit_best(view, models, incumbent, self.settings.finalists)
+        models += self._from_starts(view, models, incumbent, attempted=True)
+        return (
+            self._accept_one(view, models, incumbent)
+            or self._other_settings(incumbent)
+            or self._accept_one(view, self._from_starts(view, models, incumbent), incumbent)
+            or self._from_another_model(incumbent)
+            or self._accept_one(view, self._rivals(view, proposals, incumbent), incumbent)
+        )
+
+    def _from_another_model(self, incumbent: Model) -> Model | None:
+        """A better model around the best simpler one with other effects, where much remains.
+
+        Two effects that imitate a third may keep the search from the one that is right.
+        """
+        other = self.pool.best_simpler(incumbent)
+        if other is None or not self._exceeds(incumbent, VERDICT.at_floor):
+            return None
+        simpler = self._fitted(self.simulated(other))
+        view = self._linearize(simpler)
+        chosen = self._select(self._propose(simpler, view), simpler)
+        models = self._simulate([n.hypothesis for n in chosen], simpler.corrected_at, "neighbour")
+        models = self._fit_best(view, models, simpler, self.settings.finalists)
+        return self._accept_one(view, models, incumbent)
+
+    def _other_settings(self, incumbent: Model) -> Model | None:
+        """The incumbent, or less, with another setting of the simulation, if it explains more.
+
+        The setting is then that of all further models.
+        """
+        own = incumbent.hypothesis
+        hypotheses = [own, *(own.without(t) for t in own.terms if len(own.terms) > 1)]
+        tried = list[tuple[Physics, Model]]()
+        is_explained = not self._exceeds(incumbent, VERDICT.identifiable)
+        for physics in self.physics.other_settings(own, is_explained=is_explained):
+            residuals = physics.simulate(hypotheses, own)
+            tried += [
+                (physics, self._model(h, r, "setting of the simulation", own))
+                for h, r in zip(hypotheses, residuals, strict=True)
+            ]
+        for physics, model in sorted(tried, key=lambda pair: -pair[1].score)[:_FITTED_SETTINGS]:
+            present, self.physics = self.physics, physics
+            accepted = self._accept_fitted(model, incumbent)
+            least = self.settings.earns if model.hypothesis is own else 0.0
+            if accepted is not None and accepted.score > incumbent.score + least:
+                return accepted
+            self.physics = present
+        return None
+
+    def _linearize(self, incumbent: Model) -> View:
+        return self.physics.linearize(
+            incumbent.hypothesis, incumbent.residual, _jacobian_of(incumbent)
+        )
+
+    def _propose(self, incumbent: Model, view: View) -> list[Neighbour]:
+        """Neighbours; with simulated candidates where the linearization explains nothing."""
+        physics, settings = self.physics, self.settings
+        proposals = neighbours(physics, self.comparison, incumbent, view, settings)
+        gains = [n.gain for n in proposals if not n.has_elastic]
+        if (
+            view.linear is not None
+            and not incumbent.hypothesis.terms
+            and max(gains, default=0.0) < settings.earns
+        ):
+            simulated_view = physics.view_by_simulation(
+                incumbent.hypothesis, incumbent.residual, _jacobian_of(incumbent), 4
+            )
+            proposals += neighbours(physics, self.comparison, incumbent, simulated_view, settings)
+        return proposals
+
+    def _select(self, proposals: Sequence[Neighbour], incumbent: Model) -> list[Neighbour]:
+        """The proposals that are simulated: the best of each number of effects, then the others.
+
+        Large models can fit errors of the linearization, so they do not displace a single effect. A
+        removed effect had to earn its place, and its removal gets the same amount.
+        """
+        settings, count = self.settings, len(incumbent.hypothesis.terms)
+
+        def rank(neighbour: Neighbour) -> float:
+            fewer = max(count - len(neighbour.hypothesis.terms), 0)
+            return neighbour.gain + settings.earns * fewer
+
+        ranked = sorted(proposals, key=rank, reverse=True)
+        first, others = Quota.of(settings).divide(ranked)
+        return first + others[: max(settings.proposals - len(first), 0)]
+
+    def _other_words(self, incumbent: Model) -> list[Hypothesis]:
+        """The physics of the incumbent with no more parameters, at the values that follow from it.
+
+        The linearization misjudges limits of a drive and wavenumbers, so the same law in other
+        words can seem far worse, and be fitted to other values.
+        """
+        other = [
+            h for h in self.physics.rewrites(incumbent.hypothesis)
+            if not self.physics.size(h).is_richer_than(incumbent.size)
+        ]  # fmt: skip
+        other.sort(key=lambda h: self.physics.size(h).parameters)
+        return other[: self.settings.rivals]
+
+    def _fit_best(
+        self, view: View, models: Sequence[Model], incumbent: Model, count: int
+    ) -> list[Model]:
+        """Models by score; the first ``count`` are fitted along the motion."""
+        ranked = sorted(models, key=lambda m: -m.score)
+        fitted = fit_along_motion(
+            view,
+            ranked[:count],
+            lambda hypotheses: self._simulate(hypotheses, incumbent.corrected_at, "fit"),
+            self.comparison.floor,
+            self.settings.corrections,
+        )
+        return [*fitted, *ranked[count:]]
+
+    def _from_starts(
+        self, view: View, models: Sequence[Model], incumbent: Model, *, attempted: bool = False
+    ) -> list[Model]:
+        """Models from starts that effects propose, where the best proposal leaves much.
+
+        Args:
+            attempted: only joints at which the best proposal acts. That it leaves much there shows
+                that no slope leads to the right effect; at other joints a later round may. Where it
+                leaves little, but more than noise, only its own effects start elsewhere.
+        """
+        best = max([incumbent, *models], key=lambda m: m.score)
+        before = np.nan_to_num(incumbent.mean_square, posinf=0.0)
+        joints = len(self.physics.joints)
+        above = best.mean_square > (2.0 * VERDICT.identifiable * self.comparison.floor) ** 2
+        large = above & (best.mean_square > self.settings.scan_above * before)
+        unexplained = np.asarray(large.reshape(-1, joints).any(axis=0))
+        of = None
+        if attempted:
+            changed = set(best.hypothesis.terms) ^ set(incumbent.hypothesis.terms)
+            if all(t.joint >= 0 for t in changed):
+                unexplained &= np.isin(np.arange(joints), [t.joint for t in changed])
+            if not unexplained.any():
+                unexplained, of = np.asarray(above.reshape(-1, joints).any(axis=0)), changed
+        if not unexplained.any():
+            return []
+        hypotheses = proposed_starts(self.physics, incumbent, best, unexplained, _STARTS, of)
+        started = self._simulate(hypotheses, incumbent.corrected_at, "start of an effect")
+        return self._fit_best(view, started, incumbent, 3)
+
+    def _rivals(self, view: View, proposals: Sequence[Neighbour], incumbent: Model) -> list[Model]:
+        """Alternatives to the effects of the incumbent, simulated and fitted, for the confidence.
+
+        Those that are not simulated enter the pool with their linearized evidence.
+        """
+        own, settings = set(incumbent.hypothesis.terms), self.settings
+        if not own:
+            return []
+        others = [n for n in proposals if not own <= set(n.hypothesis.terms)]
+        for n in others:
+            self.pool.add_linearized(
+                n.hypothesis, self.physics.size(n.hypothesis), n.gain, n.difference
+            )
+        seen, chosen = set[frozenset[object]](), list[Neighbour]()
+        for n in sorted(others, key=lambda n: (n.difference > 1.0, -n.gain)):
+            key = frozenset(n.hypothesis.terms)
+            if key not in seen and n.gain > -settings.rival_within:
+                seen.add(key)
+                chosen.append(n)
+        carried = confused(self.physics, incumbent.hypothesis, carried=True)
+        models = self._simulate(
+            [*carried[: settings.rivals], *(n.hypothesis for n in chosen[: settings.rivals])],
+            incumbent.corrected_at,
+            "rival",
+        )
+        models = self._fit_best(view, models, incumbent, settings.finalists)
+        ranked = sorted(models, key=lambda m: -m.score)
+        return [
+            self._fitted(m)
+            if i < settings.fitted_rivals
+            and m.is_finite
+            and m.score > incumbent.score - settings.rival_within
+            else m
+            for i, m in enumerate(ranked)
+        ]
+
+    def _accept_one(
+        self, view: View | None, models: Sequence[Model], incumbent: Model
+    ) -> Model | None:
+        """The simplest model that passes the test against all others.
+
+        Each model that passes is fitted by simulation before a richer one is compared with it: a
+        fit along the motion may end before it converges, and a richer law then seems better.
+        """
+        ranked = sorted(models, key=lambda m: -m.score)[: self.settings.contenders]
+        contenders = with_linearized_jacobians(view, ranked, self.comparison)
+        best = incumbent
+        for model in sorted(
+            contenders, key=lambda m: (m.size.effects, m.size.parameters, -m.score)
+        ):
+            if self._decide(model, best).is_accepted:
+                best = self._accept_fitted(model, best) or best
+        if best is incumbent:
+            return self._fit_before_rejection(contenders, incumbent)
+        return best
+
+    def _fit_before_rejection(self, models: Sequence[Model], incumbent: Model) -> Model | None:
+        """The best model that scores better than the incumbent, if it passes once it is fitted.
+
+        A fit along the motion does not converge where the linearization is no good, and its
+        cross-validation is then pessimistic.
+        """
+        better = [
+            m for m in models
+            if m.score > incumbent.score + self.settings.earns
+            and not self.physics.refusals(m.hypothesis)
+        ]  # fmt: skip
+        if not better:
+            return None
+        return self._accept_fitted(max(better, key=lambda m: m.score), incumbent)
+
+    def _decide(self, model: Model, incumbent: Model) -> Acceptance:
+        refused = self.physics.refusals(model.hypothesis)
+        if refused:
+            decision = Acceptance(False, next(iter(refused.values())))
+        else:
+            decision = accepts(model, incumbent, self.nominal, self.comparison, self.settings)
+        self.listener(model, incumbent, decision)
+        return decision
+
+    def _accept_fitted(self, model: Model, incumbent: Model) -> Model | None:
+        """A model fitted by simulation, if it then replaces the incumbent."""
+        self._passed = model if self._decide(model, incumbent).is_accepted else None
+        fitted = self._fitted(model)
+        self._passed = None
+        return fitted if self._decide(fitted, incumbent).is_accepted else None
+
+    def _fitted(self, model: Model) -> Model:
+        """A model fitted by simulation, with the corrections at its own start."""
+        start = model.hypothesis
+        hypothesis, residual, jacobian = self.physics.fit(
+            start, model.residual, self.settings.refinements, start
+        )
+        fitted = self._model(hypothesis, residual, model.origin, hypothesis)
+        fitted = fitted.with_jacobian(self.comparison, jacobian)
+        self.pool.add(fitted)
+        return fitted
+
+    def simulated(self, hypothesis: Hypothesis) -> Model:
+        """A hypothesis of an earlier answer, simulated."""
+        (residual,) = self.physics.simulate([hypothesis], hypothesis)
+        return self._model(hypothesis, residual, "earlier answer", hypothesis)
+
+    def _simulate(
+        self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis, origin: str
+    ) -> list[Model]:
+        """Simulated models, which enter the pool."""
+        residuals = self.physics.simulate(hypotheses, corrected_at) if hypotheses else []
+        models = [
+            self._model(h, r, origin, corrected_at)
+            for h, r in zip(hypotheses, residuals, strict=True)
+        ]
+        for model in models:
+            self.pool.add(model)
+        return models
+
+    def _model(
+        self, hypothesis: Hypothesis, residual: FloatArray, origin: str, corrected_at: Hypothesis
+    ) -> Model:
+        size = self.physics.size(hypothesis)
+        return Model.of(self.comparison, hypothesis, residual, size, origin, corrected_at)
+
+    def _exceeds(self, model: Model, floors: float) -> bool:
+        return bool((model.mean_square > (floors * self.comparison.floor) ** 2).any())
+
+
+def _jacobian_of(model: Model) -> FloatArray:
+    assert model.jacobian is not None
+    return model.jacobian

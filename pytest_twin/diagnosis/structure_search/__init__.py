@@ -1,1 +1,0 @@
-"""Model selection: which effects, at which joints, explain the recordings."""
