@@ -17,6 +17,16 @@ from in_process import InProcess
 from pytest_twin.cli import COMMANDS, module_of
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the proofs over many seeds; a sample of each, without the mark, always runs."""
+    if os.environ.get("TWIN_NIGHTLY"):
+        return
+    long_proofs = [item for item in items if item.get_closest_marker("nightly")]
+    items[:] = [item for item in items if not item.get_closest_marker("nightly")]
+    if long_proofs:
+        config.hook.pytest_deselected(items=long_proofs)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _environment_of_a_person() -> Iterator[None]:
     """Build machines set CI, where ``--twin-update`` refuses to run; the tests act as a person."""

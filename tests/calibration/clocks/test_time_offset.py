@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from nightly import samples
 from scipy.spatial.transform import Rotation
 
 from pytest_twin import cli
@@ -201,15 +202,16 @@ def test_exchanged_streams_or_a_wrong_mount_fit_as_well_and_cause_no_suspicion(t
         assert any("the streams do not determine which" in note for note in found["notes"]) == noted
 
 
-def test_intervals_of_the_time_offset_contain_the_true_value(tmp_path):
+@pytest.mark.parametrize("seeds", samples(4, always=(1,)))
+def test_intervals_of_the_time_offset_contain_the_true_value(tmp_path, seeds):
     inside = []
-    for seed in range(4):
+    for seed in seeds:
         folder = tmp_path / str(seed)
         folder.mkdir()
         write_streams(folder, seed=seed, noise=2e-3)
         low, high = calibrated(folder)[1]["records"]["time_offset"]["ci95"]
         inside.append(low < 0.037 < high)
-    assert sum(inside) >= 3
+    assert sum(inside) >= 0.75 * len(seeds)
 
 
 def scale_camera(folder: Path, factor: float) -> None:
