@@ -86,7 +86,11 @@ def test_the_cache_depends_on_all_code_that_reads_a_model() -> None:
         "print(*(m.__file__ for n, m in sys.modules.items() if n.startswith(prefixes)), sep='\\n')"
     )
     result = subprocess.run(
-        [sys.executable, "-P", "-c", script], check=True, timeout=60, capture_output=True, text=True
+        [sys.executable, "-P", "-c", script],
+        check=True,
+        timeout=300,
+        capture_output=True,
+        text=True,
     )
     files = set(map(Path, result.stdout.split("\n")[:-1]))
     assert {"reading.py", "dependency.py"} <= {path.name for path in files}
@@ -145,4 +149,4 @@ def test_reading_the_cache_imports_no_simulator(reader: Reader) -> None:
         "assert features_of(twin, twin.first_realization, read, {'mujoco': '4.0.0'}).parts\n"
         "assert not {'mujoco', 'pinocchio', 'coal', 'numpy'} & set(sys.modules)\n"
     )
-    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=300)

@@ -142,7 +142,7 @@ def test_drawn_back_emf_is_a_part_of_the_drawn_damping_in_both_samplers(tmp_path
         "whole, part = robots['a.viscous_friction'], robots['a.watchdog_timeout.back_emf']\n"
         "assert (part <= whole).all() and (part == whole).any() and (part < whole).any()\n"
     )
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=300)
 
 
 @pytest.mark.parametrize(

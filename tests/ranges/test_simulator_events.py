@@ -224,6 +224,6 @@ def test_the_event_writes_each_drawn_robot_to_its_environment_joints_and_bodies(
 ) -> None:
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=written, capture_output=True, text=True, check=False,
-        timeout=60,
+        timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -38,7 +38,7 @@ def sample_robots(folder: Path, count: int = 10_000) -> dict[str, np.ndarray]:
         " for i, v in f.items()}\n"
         "np.savez('robots.npz', **robots, **fields)"
     )
-    subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, timeout=300)
     with np.load(folder / "robots.npz") as found:
         return dict(found)
 

@@ -244,9 +244,9 @@ def test_a_report_of_thousands_of_goldens_has_limited_size() -> None:
         for i in range(2000)
     ]
     failed = entry("last", "failed")
-    start = time.perf_counter()
+    start = time.process_time()
     page = html.render(report(*big, failed))
-    assert time.perf_counter() - start < 20.0
+    assert time.process_time() - start < 20.0
     assert len(page) < 12_000_000
     text = text_of(page)
     assert text.count("Title ") >= 2001

@@ -258,7 +258,7 @@ def _plain(patch: dict[str, object]) -> dict[str, object]:
 def test_without_hypothesis_the_error_names_the_package_extra() -> None:
     code = "import sys; sys.modules['hypothesis'] = None\nimport pytest_twin.strategies"
     result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=300
     )
     assert result.returncode != 0
     assert "pip install 'pytest-twin[properties]'" in result.stderr.splitlines()[-1]
