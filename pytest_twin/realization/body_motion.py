@@ -91,9 +91,15 @@ def body_triangles(model: mujoco.MjModel) -> dict[str, Triangles]:
     for body, members in geoms.items():
         visual = [geom for geom in members if model.geom_group[geom] < _VISUAL_GROUPS]
         parts = [_surface(model, geom, hulls=hulls) for geom in visual or members]
-        merged = trimesh.util.concatenate(parts)
+        counts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
         name = model.body(body).name or f"body_{body}"
-        surfaces[name] = Triangles(np.asarray(merged.vertices), np.asarray(merged.faces))
+        surfaces[name] = Triangles(
+            np.concatenate([np.asarray(part.vertices, dtype=np.float64) for part in parts]),
+            np.concatenate([
+                np.asarray(part.faces, dtype=np.int64) + first
+                for part, first in zip(parts, counts.tolist(), strict=True)
+            ]),
+        )  # fmt: skip
     return surfaces
 
 
