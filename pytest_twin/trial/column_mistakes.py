@@ -71,7 +71,7 @@ def _mistaken(
     columns = np.flatnonzero(known & (spread > _MOVED) & (travel > _MOVED))
     if not len(columns):
         return []
-    names = [joints[column] for column in columns]
+    names = [joints[column] for column in columns.tolist()]
     related = np.corrcoef(position[:, columns].T, given[:, columns].T)
     related = np.atleast_2d(related[: len(columns), len(columns) :])
     notes = []
