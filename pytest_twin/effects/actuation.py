@@ -228,7 +228,6 @@ class TorqueConstant(Effect):
     # A servo has gains instead, of which it is a special case.
     basic_modes = ("effort",)
     nearly_linear = True
-    common_to_geared_motors = True
     law = "delivered = (1 + relative_error) drive"
     source = "Nm per A; Siciliano et al., Robotics (2009), sec. 5.2"
     parameters = (

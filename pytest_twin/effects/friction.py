@@ -52,7 +52,6 @@ class ViscousFriction(Effect):
     mjcf_field = "damping"
     regressor_symbol = "fv"
     nearly_linear = True
-    common_to_geared_motors = True
     law = "effort = -coefficient v"
     source = _SURVEY
     parameters = (
@@ -90,7 +89,6 @@ class CoulombFriction(Effect):
     regressor_symbol = "fs"
     dry_friction_level = "coulomb"
     nearly_linear = True
-    common_to_geared_motors = True
     law = "|effort| <= level; effort = -level sign(v) in motion"
     source = _SURVEY
     parameters = (
@@ -191,7 +189,6 @@ class LoadDependentFriction(Effect):
     id = "load_dependent_friction"
     family = "friction"
     stage = "friction"
-    common_to_geared_motors = True
     law = (
         "of_drive 0: level = coefficient |load|, load = gravity, Coriolis and centrifugal effort; "
         "of_drive 1: level = coefficient |delivered|"

@@ -26,7 +26,6 @@ class TorqueRolloff(Effect):
     id = "torque_rolloff"
     family = "actuation"
     stage = "drive"
-    common_to_geared_motors = True
     law = (
         "ideal = drive - back_emf v; effort of the motor = ideal / (1 + |ideal| / knee); "
         "back_emf v: the part of the model's passive damping that is back-EMF"
@@ -139,7 +138,6 @@ class MotorLoadFriction(Effect):
     id = "motor_load_friction"
     family = "friction"
     stage = "friction"
-    common_to_geared_motors = True
     law = "level = (coefficient + stiction_excess exp(-|v| / stribeck_velocity)) |delivered|"
     source = (
         "Duclos et al., arXiv:2410.08650 (friction by motor and by external torque); fall with "

@@ -202,7 +202,6 @@ class Armature(Effect):
     mjcf_field = "armature"
     regressor_symbol = "Ia"
     nearly_linear = True
-    common_to_geared_motors = True
     law = "effort = -inertia dv/dt; inertia = rotor inertia times gear ratio squared"
     source = "Siciliano et al., Robotics (2009), sec. 7.2"
     parameters = (

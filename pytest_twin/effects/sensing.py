@@ -27,7 +27,6 @@ class EncoderBias(Effect):
     basic_modes = MODES
     nearly_linear = True
     hook_order = 2
-    common_to_geared_motors = True
     law = "measured = q + bias; the servo regulates q + in_loop bias"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (

@@ -21,7 +21,6 @@ class CommandDelay(Effect):
     family = "timing"
     stage = "delay"
     basic_modes = MODES
-    common_to_geared_motors = True
     nearly_linear = True
     law = "setpoint(t) = command(t - delay)"
     source = "transport delay, e.g. Franklin, Powell, Emami-Naeini, Feedback Control, ch. 5"
