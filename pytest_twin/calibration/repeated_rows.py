@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
+from scipy.cluster.hierarchy import linkage
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -22,6 +23,11 @@ from pytest_twin.calibration.plan import Plan
 AT_REST_M, AT_REST_RAD = 1e-4, 2e-4
 """Changes of the robot's pose up to which it was at rest, m and rad. They exceed the resolution of
 encoders and are as large as the repeatability of an arm: a return to a pose is no new pose."""
+
+_NOISIEST, _APART, _DIAMETER, _MOST_ROWS = 20.0, 20.0, 5.0, 3000
+"""Multiple of the changes at rest that noise of the encoders, or of a tracker of the flange, may
+reach; ratio of the next larger change to it, and largest change within a group as a multiple of
+its largest step, where the poses form groups; most rows that are grouped."""
 
 SAME_TARGET_M, SAME_TARGET_RAD, SAME_TARGET_PX = 0.005, 0.02, 3.0
 """Changes of the measured target up to which only the noise of the measurement differs, m, rad and
@@ -48,11 +54,11 @@ def without_repeats(
         _collect_same_views(observations, images, first_of)
     else:
         there = np.flatnonzero(np.isfinite(robot).all(axis=1))
-        tree = cKDTree(robot[there])
+        tree, at_rest = cKDTree(robot[there]), _change_at_rest(robot[there])
         for row in there.tolist():
             if row in first_of:
                 continue
-            near = there[tree.query_ball_point(robot[row], AT_REST_RAD)]
+            near = there[tree.query_ball_point(robot[row], at_rest)]
             for other in near[near > row].tolist():
                 if other not in first_of and _is_same(plan, observations, images, row, other):
                     first_of[other] = row
@@ -80,6 +86,22 @@ def _robot(observations: Observations) -> FloatArray | None:
     # The Frobenius distance of two rotations is the angle times the root of two.
     turns = observations.flange[:, :3, :3].reshape(-1, 9) / np.sqrt(2.0)
     return np.concatenate([places, turns], axis=1)
+
+
+def _change_at_rest(robot: FloatArray) -> float:
+    """Distance of two rows up to which the robot was at rest.
+
+    Where it was at rest with noisy encoders, the rows form groups whose steps (single linkage) are
+    far below the distances between groups.
+    """
+    if not 2 < len(robot) <= _MOST_ROWS:
+        return AT_REST_RAD
+    steps = linkage(robot, "single")[:, 2]
+    noise = steps[steps <= _NOISIEST * AT_REST_RAD]
+    moves = steps[steps > _NOISIEST * AT_REST_RAD]
+    if not (len(noise) and len(moves) and moves.min() > _APART * noise.max()):
+        return AT_REST_RAD
+    return max(AT_REST_RAD, _DIAMETER * float(noise.max()))
 
 
 def _is_same(

@@ -179,7 +179,12 @@ class Replay(Check):
         return parts
 
     def trials(self, golden: Golden, realization: Realization) -> list[Trial]:
-        """Read the recording as trials: one, or one for each section between gaps."""
+        """Read the recording as trials: one, or one for each section between gaps.
+
+        Raises:
+            RecordingError: joints have no names, and another order predicts the motion much better.
+        """
+        from pytest_twin.replay_order import refuse_other_order
         from pytest_twin.trial import make_trials
 
         twin = realization.twin
@@ -196,6 +201,7 @@ class Replay(Check):
                 golden, "target.recording", "only one state: no comparison with a replay",
                 value=recording.path.name, expected="a recording with states during the motion",
             )  # fmt: skip
+        refuse_other_order(realization, trials)
         return trials
 
     def trial(self, golden: Golden, realization: Realization) -> Trial:

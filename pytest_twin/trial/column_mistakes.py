@@ -20,6 +20,9 @@ _FEWEST = 50
 _AGAINST, _FOLLOWS, _UNRELATED = -0.8, 0.95, 0.6
 """Correlation below which a signal runs against another one, above which it follows it, and below
 which it does not."""
+_HARDLY, _GAINS, _OFFSET, _STEADY = 0.3, (0.7, 1.4), 0.3, 0.3
+"""Correlation below which a joint hardly follows its command; factors with which drives follow;
+median deviation, rad or m, beyond a deflection under load, and its relative spread if constant."""
 _LEAST_GAIN = 0.3
 """Share of a command's motion. A drive that is commanded beyond its bandwidth also runs against its
 commands, and follows less of them."""
@@ -36,11 +39,39 @@ def column_mistakes(trial: Trial) -> list[str]:
     for column, joint in enumerate(trial.command_joints):
         if joint in trial.joints and trial.command_modes[column] == "position":
             position[:, column] = trial.position[:, trial.joints.index(joint)]
-    notes += _mistaken("command", trial.command_joints, sent, position)
+    mistaken = _mistaken("command", trial.command_joints, sent, position)
+    notes += mistaken or _other_meaning(trial.command_joints, sent, position)
     if trial.velocity is not None:
         interval = np.diff(trial.time)[:, None]
         travelled = np.cumsum(0.5 * (trial.velocity[1:] + trial.velocity[:-1]) * interval, axis=0)
         notes += _mistaken("velocity", trial.joints, travelled, trial.position[1:])
+    return notes
+
+
+def _other_meaning(joints: Sequence[str], command: FloatArray, position: FloatArray) -> list[str]:
+    """Notes on position commands, (n, joints), that are not where the positions are."""
+    notes = []
+    for joint, sent, seen in zip(joints, command.T, position.T, strict=True):
+        if not np.isfinite(sent).all() or not np.isfinite(seen).all() or seen.std() < _MOVED:
+            continue
+        if sent.std() == 0.0:
+            continue
+        related = float(np.corrcoef(seen, sent)[0, 1])
+        factor = related * float(seen.std() / sent.std())
+        offset = seen - sent
+        middle = float(np.median(offset))
+        words = ""
+        if abs(related) < _HARDLY:
+            words = (
+                f"hardly follows its position command (correlation {related:.2f}): commands of "
+                "another motion, increments, or another clock"
+            )
+        elif related > _FOLLOWS and not _GAINS[0] < factor < _GAINS[1]:
+            words = f"follows {factor:.3g} times its position command: another unit, or a gear"
+        elif abs(middle) > _OFFSET and offset.std() < _STEADY * abs(middle):
+            words = f"is {middle:.3g} away from its position command throughout: another zero"
+        if words:
+            notes.append(f"the position of {joint!r} {words}?")
     return notes
 
 

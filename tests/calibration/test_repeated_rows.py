@@ -11,6 +11,7 @@ import pytest
 from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.plan import Accept, HoldOut
+from pytest_twin.calibration.repeated_rows import without_repeats
 from pytest_twin.errors import SpecError
 
 PLAN = cells.plan("hand_eye", "base_world", accept=Accept(0.002, 0.004), hold_out=HoldOut(0.33, 1))
@@ -45,6 +46,25 @@ def test_copies_of_rows_count_once_and_are_named() -> None:
 def test_a_recorder_at_rest_counts_once_for_each_pose() -> None:
     found = calibrate(PLAN, repeated(cell_of(12).observations, 5, noise=3e-4), None)
     assert found["fitted"]["count"] + found["held_out"]["count"] == 12
+
+
+@pytest.mark.parametrize("noise", [1e-4, 4e-4])
+def test_a_recorder_at_rest_counts_once_also_with_noisy_encoders(noise: float) -> None:
+    """Noise of the flange above the changes up to which an arm counts as being at rest, m."""
+    rows = repeated(cell_of(12).observations, 5, noise=3e-4)
+    flange = cells.noisy(rows.flange, noise, noise, np.random.default_rng(3))
+    found = calibrate(PLAN, replace(rows, flange=flange), None)
+    assert found["fitted"]["count"] + found["held_out"]["count"] == 12
+
+
+def test_small_motions_are_no_rest() -> None:
+    """Poses a millimetre apart along a path are different poses."""
+    once = cell_of(30).observations
+    assert once.flange is not None
+    flange = np.repeat(once.flange[:1], 30, axis=0)
+    flange[:, 0, 3] += 1e-3 * np.arange(30)
+    _, left_out = without_repeats(PLAN, replace(once, flange=flange))
+    assert left_out == ()
 
 
 def test_rows_of_one_pose_that_contradict_each_other_are_no_copies() -> None:

@@ -59,6 +59,21 @@ def test_a_mistaken_column_is_named(
     assert words in notes_of(log(tmp_path, position, velocity, command))
 
 
+@pytest.mark.parametrize(
+    ("position", "command", "words"),
+    [
+        (POSITION / [1.0, 2.0 * np.pi], COMMAND, "'knee' follows 0.1"),
+        (POSITION - POSITION[0], COMMAND, "'knee' is 0.6"),
+        (POSITION, np.gradient(COMMAND, axis=0), "'knee' hardly follows its position command"),
+    ],
+)
+def test_commands_that_mean_something_else_are_named(
+    tmp_path: Path, position: np.ndarray, command: np.ndarray, words: str
+) -> None:
+    """Revolutions, positions from where the arm was switched on, and increments."""
+    assert f"the position of {words}" in notes_of(log(tmp_path, position, VELOCITY, command))
+
+
 def test_show_names_it_without_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = log(tmp_path, POSITION * [1, -1], VELOCITY * [1, -1], COMMAND)
     assert cli.main(["show", str(path), "--command-mode", "position"]) == 0

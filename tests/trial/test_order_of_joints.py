@@ -9,8 +9,12 @@ import pytest
 from foreign_logs import ARM, TRUE_RMS, recorded, replayed, trial_of, write
 
 from pytest_twin import cli
+from pytest_twin.checks.replay import Replay
+from pytest_twin.errors import RecordingError
+from pytest_twin.gate.specs import load_golden
 from pytest_twin.realization import load
 from pytest_twin.replay_order import doubt_of_order
+from pytest_twin.twin import load_twin
 
 
 @pytest.mark.usefixtures("commands_in_process")
@@ -56,6 +60,24 @@ def test_every_command_says_the_doubt(tmp_path: Path, capsys: pytest.CaptureFixt
         assert cli.main([command, str(ARM), log, "--out", str(tmp_path / command)]) == 2
         error = capsys.readouterr().err.splitlines()[-1]
         assert all(word in error for word in words)
+
+
+def test_a_replay_golden_does_not_take_another_order(tmp_path: Path) -> None:
+    unnamed = {
+        role: replace(one, position=one.position[:, ::-1], names=("0", "1"))  # type: ignore[index]
+        for role, one in recorded().items()
+    }
+    write(tmp_path / "log.mcap", unnamed)
+    (tmp_path / ARM.name).write_text(ARM.read_text())
+    (tmp_path / "twin.yaml").write_text(f"name: arm\nmodel: {ARM.name}\n")
+    (tmp_path / "replay.yaml").write_text(
+        "schema: 1\nkind: replay\ntarget: {recording: log.mcap}\ntolerance: {angle_rms: 1 rad}\n"
+    )
+    twin = load_twin(tmp_path / "twin.yaml")
+    robot = load(tmp_path / ARM.name, twin=twin)
+    spec = load_golden(tmp_path / "replay.yaml", twin)
+    with pytest.raises(RecordingError, match="may be in another order"):
+        Replay().trials(spec, robot)
 
 
 @pytest.mark.usefixtures("commands_in_process")
