@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import fleet, json_output, model_files
+from pytest_twin.commands import before, fleet, json_output, model_files
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
@@ -32,10 +32,11 @@ EXAMPLES = (
     "pytest-twin diagnose twin.yaml moves.mcap sines.mcap --held-out check.mcap --out diagnosis",
     "pytest-twin replay diagnosis check.mcap --out predicted.mcap",
     "pytest-twin diagnose --fleet fleet.yaml --out diagnoses",
+    "pytest-twin diagnose twin.yaml today.mcap --before may_*.mcap --out changes",
 )
 EXIT_STATUS = {
-    0: "no residual is unexplained",
-    1: "a residual remains that no known effect explains",
+    0: "no residual is unexplained; with --before: nothing changed",
+    1: "a residual remains that no known effect explains; with --before: something changed",
 }
 EXPLAINED, LEFT_OVER = 0, 1
 SECONDS = 240.0
@@ -74,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"folder for {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
         "the files of an earlier diagnosis are replaced",
     )
+    before.add_arguments(parser)
     add_seconds(
         parser, SECONDS,
         "the best result so far is written with a list of the searches that were not done; with "
@@ -131,6 +133,8 @@ def run(args: argparse.Namespace) -> int:
             where="MODEL RECORDING",
             expected="a model and at least one recording, or --fleet FILE.yaml",
         )
+    if args.before:
+        return before.run(args)
     if args.scheduler is not None or args.jobs is not None:
         raise TwinError(
             "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml too"

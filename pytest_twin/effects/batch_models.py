@@ -20,7 +20,7 @@ from pytest_twin.effects.contact_geoms import ContactGeoms, find_contact_geoms, 
 from pytest_twin.effects.engine_options import disable_unused_features
 from pytest_twin.effects.layout import Index, Layout, as_slice
 from pytest_twin.effects.link_inertia import link_inertia
-from pytest_twin.effects.point_mass import with_point_mass
+from pytest_twin.effects.point_mass import change_links
 from pytest_twin.effects.sampling import age_of_initial_state
 from pytest_twin.effects.segment import Segment
 from pytest_twin.realization.engine import Batch, new_batch, require_batches
@@ -425,21 +425,5 @@ class BatchModels:
     def _write_inertia(self, batched: _BatchWithModels, fields: ModelFields) -> None:
         """Write changed masses, inertias and centres of mass of links, and added point masses."""
         mass, ipos, inertia, iquat = (batched.expand(name) for name in _INERTIAL)
-        bodies = self.layout.body_index
-        mass[:, bodies] *= fields.mass_scale
-        inertia[:, bodies] *= fields.inertia_scale[:, :, None]
-        if fields.center_moves.any():
-            every = np.arange(len(bodies))
-            ipos[:, bodies] += self.layout.center_shift(
-                fields.center_radial, fields.center_tangential, every
-            )
-        row, joint = np.nonzero(fields.added_mass)
-        if not len(row):
-            return
-        here = (row, bodies[joint])
         (position,) = batched.values_per_row("jnt_pos")
-        at = position[row, self.layout.joint_ids[joint]]
-        at = at + self.layout.to_link_frame(fields.added_at[row, joint], joint)
-        mass[here], ipos[here], inertia[here], iquat[here] = with_point_mass(
-            mass[here], ipos[here], inertia[here], iquat[here], fields.added_mass[row, joint], at
-        )
+        change_links(self.layout, fields, (mass, ipos, inertia, iquat), position)

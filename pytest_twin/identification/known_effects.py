@@ -106,11 +106,11 @@ class KnownEfforts:
         each_row = [slice(k, k + 1) for k in range(len(time))]
         state: dict[str, Any] = {}
         for rows in each_row if any(effect.remembers for effect, _ in acting) else whole:
-            world = _world(
+            world = measured_world(
                 time[rows], step, position[rows], velocity[rows], drives[rows], load[rows], cold
             )
             world.state = state
-            found[rows] += _effort_of_effects(
+            found[rows] += effort_of_effects(
                 world, [(e, {n: x[rows] for n, x in own.items()}) for e, own in acting]
             )
         return found
@@ -210,7 +210,7 @@ def _springs_and_drag(
     return found
 
 
-def _world(
+def measured_world(
     time: FloatArray,
     step: float,
     position: FloatArray,
@@ -246,7 +246,7 @@ def _world(
     )
 
 
-def _effort_of_effects(world: World, effects: ActiveEffects) -> FloatArray:
+def effort_of_effects(world: World, effects: ActiveEffects) -> FloatArray:
     """(rows, joints) effort of effects in a state, N*m or N."""
     fields = ModelFields.neutral(np.zeros((len(world.time), 3)), world.position.shape[1])
     for effect, values in effects:

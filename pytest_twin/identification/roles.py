@@ -20,7 +20,7 @@ from pytest_twin.signals import Signals
 
 ONE_HELD_OUT_OF = 4
 """One recording of so many is held out if no role is given."""
-_NO_PAYLOAD = frozenset({"none", "no", "empty", "0"})
+NO_PAYLOAD = frozenset({"none", "no", "empty", "0"})
 """Names of a payload that mean that there is none."""
 
 
@@ -81,7 +81,7 @@ def read_by_role(
     fitted = [one for path in fit for one in known[path]]
     tested = [one for path in aside for one in known[path]]
     notes += _unknown_payloads(realization, [*fitted, *tested])
-    return _reduce_to_common_joints(fitted, tested, notes)
+    return reduce_to_common_joints(fitted, tested, notes)
 
 
 def _unknown_payloads(
@@ -92,7 +92,7 @@ def _unknown_payloads(
     named: dict[str, list[str]] = {}
     for one in recordings:
         payload = one.metadata.get("payload", "")
-        if payload and payload.lower() not in _NO_PAYLOAD and payload not in stated:
+        if payload and payload.lower() not in NO_PAYLOAD and payload not in stated:
             named.setdefault(payload, []).append(one.path.name)
     return [
         f"payload {payload!r} of {', '.join(dict.fromkeys(files))} is not under payloads: in "
@@ -101,7 +101,7 @@ def _unknown_payloads(
     ]
 
 
-def _reduce_to_common_joints(
+def reduce_to_common_joints(
     fit: list[MeasuredRecording], held_out: list[MeasuredRecording], notes: list[str]
 ) -> MeasuredRecordings:
     """Reduce every recording to the same joints in the same order."""

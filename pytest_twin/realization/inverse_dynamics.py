@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -54,6 +54,7 @@ class InverseDynamics:
         reference = Reference(realization)
         self._model: pin.Model = reference.model
         self._data = self._model.createData()
+        self._world: pin.SE3 = reference.world
         self._neutral = reference.configuration({})
         self.joints = tuple(joints)
         self._ids = [_scalar_joint_id(realization, reference, name) for name in self.joints]
@@ -114,6 +115,36 @@ class InverseDynamics:
             whole = pin.computeJointTorqueRegressor(model, data, q[at], v[at], a[at])
             found[at] = whole.ravel()[places]
         return found.reshape(len(position), len(rows), len(self._links), 10)
+
+    def change_of(self, bodies: Mapping[str, FloatArray]) -> FloatArray:
+        """(links, 10) change of the parameters if bodies have others, in the order of ``INERTIAL``.
+
+        Args:
+            bodies: body -> its mass [kg], centre of mass (3,) [m] and inertia about it (3, 3)
+                [kg*m^2] in the body's frame, concatenated to (13,).
+        """
+        change = np.zeros((len(self._links), 10))
+        for row, link in enumerate(self._links):
+            for body in self.bodies_of(link):
+                if (own := bodies.get(body.name)) is not None:
+                    tensor = own[4:].reshape(3, 3)
+                    new = moments(float(own[0]), own[1:4], tensor, body.placement)
+                    change[row] += (new - body.parameters)[_ORDER]
+        return change
+
+    def weights(self, position: FloatArray, gravity: FloatArray) -> FloatArray:
+        """(n, joints) efforts that balance the weight of all links under another gravity.
+
+        Args:
+            position: (n, joints) coordinates of the model, rad or m.
+            gravity: (3,) m/s^2 in the world.
+        """
+        model = self._model.copy()
+        model.gravity.linear = self._world.rotation.T @ gravity
+        data = model.createData()
+        states = self._configurations(position)
+        found = [pin.computeGeneralizedGravity(model, data, q)[self._rows] for q in states]
+        return np.array(found).reshape(len(position), len(self._ids))
 
     def derivatives(
         self,

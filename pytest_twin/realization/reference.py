@@ -60,6 +60,11 @@ class Reference:
         """Site or body -> index of the Pinocchio joint that moves it, and its pose in the joint."""
         return self._rigid.frames
 
+    @property
+    def world(self) -> pin.SE3:
+        """Pose of Pinocchio's universe frame in the world."""
+        return self._rigid.world
+
     def zero_of(self, joint: str) -> float:
         """Joint value of the pose that the file describes, rad or m."""
         return self._rigid.reference.get(joint, 0.0)

@@ -108,14 +108,20 @@ def choose_filter(recordings: Sequence[MeasuredRecording]) -> Filter:
     )
 
 
-def differentiate(recording: MeasuredRecording, chosen: Filter) -> Motion:
-    """Return motion with velocities and accelerations, at the rate of the regressors."""
+def differentiate(
+    recording: MeasuredRecording, chosen: Filter, oversampled: float = _OVERSAMPLED
+) -> Motion:
+    """Return motion with velocities and accelerations, at the rate of the regressors.
+
+    Args:
+        oversampled: ratio of that rate to the rate of the fit, at least.
+    """
     even = resample_uniformly(recording)
     rate = recording.rate
     smooth = low_passed(even.position, chosen.cutoff, rate)
     velocity = np.gradient(smooth, 1.0 / rate, axis=0)
     acceleration = np.gradient(velocity, 1.0 / rate, axis=0)
-    step = max(1, int(rate / (_OVERSAMPLED * chosen.rate)))
+    step = max(1, int(rate / (oversampled * chosen.rate)))
     # The effort is not filtered here, but later together with the regressor.
     effort = low_passed(even.effort, min(_HIGHEST * rate / step, _HIGHEST * rate), rate)
     return Motion(

@@ -128,7 +128,7 @@ def _rows(
     velocity = decimate(motion.velocity, motion.rate, chosen)
     top = np.abs(motion.effort) >= 0.98 * recording.limit
     inner = _inner(len(velocity), chosen)
-    effort = motion.effort + _known_efforts(recording, motion, rest)
+    effort = motion.effort + known_efforts_along(recording, motion, rest)
     return RecordingRows(
         name=recording.path.name,
         time=motion.time[:: max(1, round(motion.rate / chosen.rate))][inner],
@@ -146,7 +146,9 @@ def _moving(motion: Motion, rest: FloatArray) -> FloatArray:
     return np.where(np.abs(motion.velocity) > rest, motion.velocity, 0.0)
 
 
-def _known_efforts(recording: MeasuredRecording, motion: Motion, rest: FloatArray) -> FloatArray:
+def known_efforts_along(
+    recording: MeasuredRecording, motion: Motion, rest: FloatArray
+) -> FloatArray:
     """(n, joints) known efforts; 0 where the effort is a current of unknown torque constant."""
     if recording.known is None:
         return np.zeros_like(motion.effort)

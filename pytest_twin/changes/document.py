@@ -1,0 +1,154 @@
+"""``diagnosis.json`` of a comparison with earlier recordings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.changes.comparison import Change
+from pytest_twin.changes.find_changes import Changes
+from pytest_twin.effects.base import si_unit
+from pytest_twin.estimation.hypothesis import Term
+from pytest_twin.formats.record_fields import Z95
+
+_ACTS = 0.5
+"""Fraction of a law's largest effort above which it counts as acting."""
+_MOST_WINDOWS = 8
+"""Largest number of time intervals that are listed for one recording."""
+
+
+def changes_document(found: Changes, *, level: float, release: int | None = None) -> dict[str, Any]:
+    """Content of ``diagnosis.json`` with ``--before``, schema 1.
+
+    Args:
+        level: level of the alarm.
+        release: number of the release whose recordings are the earlier ones.
+    """
+    comparison = found.comparison
+    verdict = "no_change"
+    if comparison.is_changed:
+        verdict = "changed" if comparison.changes else "changed_unnamed"
+    null = comparison.null
+    return {
+        "schema": 1,
+        "verdict": verdict,
+        "by": "measured effort",
+        "before": {"recordings": _names(found, found.before), "release": release},
+        "new": _names(found, found.new),
+        "findings": [_finding(found, change) for change in comparison.changes],
+        "alarm": {
+            "score": _number(comparison.score),
+            "threshold": _number(comparison.threshold),
+            "level": level,
+            "sessions": found.sessions,
+            "degrees_of_freedom": null.freedom if null.is_t_law(level) else None,
+            "scores_before": [_number(s) for s in null.scores],
+        },
+        "effort": {
+            joint: {
+                "rms_usual": _number(comparison.usual[j]),
+                "rms_before": _number(comparison.before[j]),
+                "rms_after": _number(comparison.after[j]),
+                "unit": si_unit("effort", bool(found.laws.dynamics.slides[j])),
+            }
+            for j, joint in enumerate(found.laws.joints)
+        },
+        "model_changes": [],
+        "notes": list(found.notes),
+    }
+
+
+def _names(found: Changes, which: tuple[int, ...]) -> list[str]:
+    return list(dict.fromkeys(found.rows.parts[i].recording.path.name for i in which))
+
+
+def _finding(found: Changes, change: Change) -> dict[str, Any]:
+    shape, columns = change.shape, change.shape.indices
+    slide = bool(found.laws.dynamics.slides[max(shape.term.joint, 0)])
+    scale = found.rows.scale[columns]
+    before = found.comparison.background.mean[columns]
+    covariance = np.linalg.inv(found.comparison.background.precision)[np.ix_(columns, columns)]
+    spread_before, spread = (
+        np.sqrt(np.diag(c).clip(0.0)) * scale for c in (covariance, change.covariance)
+    )
+    units = [p.unit("slide" if slide else "hinge") for p in shape.amplitudes]
+    names = [p.name for p in shape.amplitudes]
+    rows = list(zip(names, units, before * scale, spread_before, change.value * scale, spread,
+                    strict=True))  # fmt: skip
+    parameters = {
+        name: _estimate(old + new, np.hypot(d_old, d_new), unit)
+        for name, unit, old, d_old, new, d_new in rows
+    }
+    for k, p in enumerate(shape.term.parameters):
+        if k not in shape.columns and shape.term.law.has(shape.values)[k]:
+            value = p.reported(float(shape.values[k]))
+            unit = p.unit("slide" if slide else "hinge")
+            parameters[p.reported_name] = {"value": _number(value), "unit": unit, "ci95": None}
+    return {
+        "effect": shape.term.effect,
+        "joint": _joint(found, shape.term),
+        "confidence": round(change.confidence, 4),
+        "parameters": parameters,
+        "change": {name: _estimate(new, d, unit) for name, unit, _, _, new, d in rows},
+        "known_before": {name: _estimate(old, d, unit) for name, unit, old, d, _, _ in rows},
+        "where": _where(found, change),
+        "held_out_gain": None if found.removed is None else round(found.removed, 5),
+        "residual_gain": round(change.gain, 5),
+        "alternatives": [
+            {"effect": term.effect, "joint": _joint(found, term), "confidence": round(p, 4)}
+            for term, p in change.rivals.items()
+        ],
+        "next_test": _next_test(change),
+    }
+
+
+def _joint(found: Changes, term: Term) -> str | None:
+    return None if term.joint < 0 else found.laws.joints[term.joint]
+
+
+def _next_test(change: Change) -> str:
+    tests = change.shape.term.law.confused_with
+    rival = next((tests[t.effect] for t in change.rivals if t.effect in tests), None)
+    return rival or next(iter(tests.values()), "repeat the recording")
+
+
+def _where(found: Changes, change: Change) -> dict[str, Any]:
+    amplitudes = np.zeros(len(found.rows.scale))
+    amplitudes[change.shape.indices] = change.value
+    windows, largest, joint = {}, 0.0, 0
+    efforts = {i: np.abs(found.rows.effort_of(i, amplitudes)) for i in found.new}
+    for effort in efforts.values():
+        if effort.max() > largest:
+            largest, joint = float(effort.max()), int(effort.max(axis=0).argmax())
+    for i, effort in efforts.items():
+        part = found.rows.parts[i]
+        spans = _spans(part.recording.start + part.time, effort[:, joint] > _ACTS * largest)
+        windows[part.recording.path.name] = spans
+    unit = si_unit("effort", bool(found.laws.dynamics.slides[joint]))
+    summary = (
+        f"effort of {found.laws.joints[joint]}; it changes by up to {largest:.3g} {unit}, and by "
+        "more than half of that in the listed intervals"
+    )
+    return {"summary": summary, "windows": windows}
+
+
+def _spans(time: FloatArray, acts: NDArray[np.bool_]) -> list[list[float]]:
+    """Longest intervals in which a law acts, s."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], acts, [False]]).astype(int)))
+    spans = [
+        [round(float(time[a]), 3), round(float(time[b - 1]), 3)] for a, b in edges.reshape(-1, 2)
+    ]
+    return sorted(sorted(spans, key=lambda s: s[0] - s[1])[:_MOST_WINDOWS])
+
+
+def _estimate(value: float, deviation: float, unit: str) -> dict[str, Any]:
+    half = Z95 * deviation
+    interval = [_number(value - half), _number(value + half)]
+    return {"value": _number(value), "unit": unit, "ci95": interval}
+
+
+def _number(value: float) -> float:
+    return float(f"{value:.6g}")

@@ -1,0 +1,193 @@
+"""Find what changed in a robot between two sets of recordings with measured effort."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.changes.background import Rows
+from pytest_twin.changes.comparison import Comparison, compare
+from pytest_twin.changes.recordings import (
+    FEWEST_SESSIONS,
+    Compared,
+    in_parts,
+    outside,
+    sessions_of,
+)
+from pytest_twin.effects.base import si_unit
+from pytest_twin.errors import RecordingError
+from pytest_twin.identification.effort.effort_scale import known_payload
+from pytest_twin.identification.effort.filtering import Filter, choose_filter, differentiate
+from pytest_twin.identification.effort.law_columns import EffortLaws, EffortRows
+from pytest_twin.identification.measured_recordings import MeasuredRecording
+from pytest_twin.realization import Realization
+from pytest_twin.realization.inverse_dynamics import InverseDynamics
+
+_BANDWIDTH = 5.0
+"""Largest bandwidth of the comparison, Hz. Arms move below it; above it efforts are noise of the
+encoders and of the drives' control."""
+_POSITIONS, _RATE = 4.0, 2.5
+"""Cutoff of the positions and rate of the rows, relative to the bandwidth."""
+_REST = 0.002
+"""Fraction of a joint's largest speed below which the direction of dry friction is unknown."""
+_OTHER_UNIT = 5.0
+"""Ratio of the efforts to those that the earlier recordings predict, above which (or below its
+reciprocal) they have another unit."""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What changed between two sets of recordings.
+
+    Attributes:
+        laws: the laws of the catalogue that efforts show.
+        rows: all recordings: earlier, later, held out.
+        comparison: score, threshold and changes.
+        before, new, held_out: their indices among ``rows``.
+        sessions: how earlier sessions were distinguished, such as ``8 recordings``.
+        removed: share of the squared held-out residual that the changes remove; None without one.
+        beyond: (joints,) how far the new motion leaves the range of the earlier one.
+        notes: one line each.
+    """
+
+    laws: EffortLaws
+    rows: Rows
+    comparison: Comparison
+    before: tuple[int, ...]
+    new: tuple[int, ...]
+    held_out: tuple[int, ...]
+    sessions: str
+    removed: float | None
+    beyond: FloatArray
+    notes: tuple[str, ...]
+
+
+def find_changes(realization: Realization, compared: Compared, level: float) -> Changes:
+    """Compare later recordings with earlier ones by measured effort.
+
+    Args:
+        level: probability of an alarm if nothing changed, such as 0.05.
+
+    Raises:
+        RecordingError: the efforts of the new recordings have another unit.
+    """
+    notes = list(compared.notes)
+    before = list(compared.before)
+    sessions, words = sessions_of(before)
+    if len(sessions) < FEWEST_SESSIONS:
+        before = in_parts(before)
+        sessions, words = [[i] for i in range(len(before))], f"{len(before)} parts of recordings"
+        notes.append(
+            f"fewer than {FEWEST_SESSIONS} earlier recordings: they are compared in parts, which "
+            "share their conditions, so alarms are more frequent than the level; record more"
+        )
+    every = [*before, *compared.new, *compared.held_out]
+    chosen = _filter(every)
+    laws, parts = _laws_along(realization, every, chosen, len(before))
+    known = np.isfinite(np.concatenate([part.effort for part in parts])).any(axis=0)
+    size = np.where(known, _rms([one.effort for one in before]), 1.0)
+    rows = Rows.of(parts, size, laws.count)
+    first, last = len(before), len(before) + len(compared.new)
+    later, _ = sessions_of(compared.new)
+    beyond = outside([p.bounds for p in parts[:first]], [p.bounds for p in parts[first:last]])
+    widening = 1.0 + float(beyond.max())
+    comparison = compare(
+        rows, sessions, [[first + i for i in own] for own in later], laws.shapes, level, widening
+    )
+    _refuse_other_unit(rows, comparison, range(first, last), size)
+    if beyond.max() > 0.0:
+        joint = laws.joints[int(beyond.argmax())]
+        notes.append(
+            f"the new motion of {joint} leaves the range of the earlier ones by "
+            f"{100 * beyond.max():.0f} % of it: the alarm level is {widening:.2f} times as high"
+        )
+    held_out = range(last, len(every))
+    return Changes(
+        laws, rows, comparison, tuple(range(first)), tuple(range(first, last)), tuple(held_out),
+        words, _removed(rows, comparison, held_out), beyond, tuple(dict.fromkeys(notes)),
+    )  # fmt: skip
+
+
+def _filter(recordings: Sequence[MeasuredRecording]) -> Filter:
+    """One filter for all recordings: efforts at other rates are compared in the same band."""
+    band = min(choose_filter(recordings).parallel, _BANDWIDTH)
+    slowest = min(one.rate for one in recordings)
+    return Filter(min(_POSITIONS * band, 0.4 * slowest), band, min(_RATE * band, slowest))
+
+
+def _laws_along(
+    realization: Realization, recordings: Sequence[MeasuredRecording], chosen: Filter, before: int
+) -> tuple[EffortLaws, list[EffortRows]]:
+    """The laws that efforts show, and the rows of every recording.
+
+    Args:
+        before: number of earlier recordings, from which the typical sizes are.
+    """
+    motions = [differentiate(one, chosen) for one in recordings[:before]]
+    position = np.concatenate([m.position for m in motions])
+    speed = np.maximum(_rms([m.velocity for m in motions]), 1e-3)
+    effort = np.maximum(_rms([m.effort for m in motions]), 1e-4)
+    travel = np.maximum(position.std(axis=0), 1e-2)
+    fastest = np.max([np.abs(m.velocity).max(axis=0) for m in motions], axis=0)
+    acceleration = np.maximum(_rms([m.acceleration for m in motions]), 1e-2)
+    longest = max(float(one.time[-1]) for one in recordings[:before])
+    laws = EffortLaws(realization, recordings[0].joints, {
+        "effort": effort, "velocity": speed, "position": travel, "damping": effort / speed,
+        "stiffness": effort / travel, "drag": effort / speed**2, "inertia": effort / acceleration,
+        "compliance": travel / effort, "twelfth": np.full(len(effort), longest / 12.0),
+    })  # fmt: skip
+    rest = np.maximum(_REST * fastest, 1e-9)
+    payloads: dict[str, FloatArray] = {}
+    rows = []
+    for one in recordings:
+        payload = known_payload(realization, one)
+        if payload is not None and payload not in payloads:
+            loaded = InverseDynamics(realization.variant(payload=payload), laws.joints)
+            payloads[payload] = loaded.parameters - laws.dynamics.parameters
+        carried = None if payload is None else payloads[payload]
+        rows.append(laws.rows(one, chosen, rest, carried))
+    return laws, rows
+
+
+def _rms(values: Sequence[FloatArray]) -> FloatArray:
+    return np.asarray(np.sqrt(np.nan_to_num(np.nanmean(np.concatenate(values) ** 2, axis=0))))
+
+
+def _refuse_other_unit(rows: Rows, comparison: Comparison, new: range, size: FloatArray) -> None:
+    """Refuse efforts in another unit: all joints then change by the same factor."""
+    ratios = []
+    for i in new:
+        recording = rows.parts[i].recording
+        measured = _rms([recording.effort])
+        use = measured > 0.0
+        ratios.append(np.median(measured[use] / size[use]) if use.any() else 1.0)
+    for i, ratio in zip(new, ratios, strict=True):
+        if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+            raise RecordingError(
+                "its efforts are in another unit than those of the earlier recordings",
+                path=rows.parts[i].recording.path,
+                where="effort",
+                value=f"{ratio:.3g} times as large",
+                expected=f"the same unit, {si_unit('effort', slide=False)}; signals: in twin.yaml "
+                "states another one",
+            )
+
+
+def _removed(rows: Rows, comparison: Comparison, held_out: range) -> float | None:
+    """Share of the squared held-out residual that the changes remove, all joints alike."""
+    if not held_out or not comparison.changes:
+        return None
+    mean = comparison.background.mean
+    changed = mean.copy()
+    for change in comparison.changes:
+        changed[change.shape.indices] += change.value
+    without, with_changes = (
+        np.concatenate(rows.residuals(held_out, amplitudes)) for amplitudes in (mean, changed)
+    )
+    weight = 1.0 / comparison.usual**2
+    return 1.0 - float((with_changes**2).mean(axis=0) @ weight) / float(
+        (without**2).mean(axis=0) @ weight
+    )

@@ -1,0 +1,229 @@
+"""Read earlier and later recordings of one robot, and refuse what cannot be compared."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.temperature import TEMPERATURE_KEY, parse_temperatures
+from pytest_twin.errors import RecordingError
+from pytest_twin.identification.effort.amounts import without_amounts
+from pytest_twin.identification.measured_recordings import (
+    MeasuredRecording,
+    read_measured,
+)
+from pytest_twin.identification.roles import NO_PAYLOAD, reduce_to_common_joints
+from pytest_twin.realization import Realization
+from pytest_twin.recording_options import RecordingOptions
+
+FEWEST_SESSIONS = 3
+"""Fewest earlier sessions that can be compared with each other."""
+_PARTS = 4
+"""Number of parts into which earlier recordings are cut if there are too few."""
+_DAY = 10
+"""Number of characters of a date without its time: 2026-05-03."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Recordings to compare, with the same joints.
+
+    Attributes:
+        before, new, held_out: earlier recordings, later ones, and later ones for the test.
+        notes: one line each.
+    """
+
+    before: tuple[MeasuredRecording, ...]
+    new: tuple[MeasuredRecording, ...]
+    held_out: tuple[MeasuredRecording, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def every(self) -> tuple[MeasuredRecording, ...]:
+        """All of them, in this order."""
+        return (*self.before, *self.new, *self.held_out)
+
+
+def has_efforts(recordings: Iterable[MeasuredRecording]) -> bool:
+    """Whether every recording has a usable effort of some joint."""
+    return all(bool(np.isfinite(one.effort).any()) for one in recordings)
+
+
+def read_compared(
+    realization: Realization,
+    before: Sequence[Path],
+    new: Sequence[Path],
+    held_out: Sequence[Path],
+    topics: Mapping[str, str],
+    options: RecordingOptions,
+) -> Compared:
+    """Read all recordings; roles in their metadata are ignored.
+
+    Raises:
+        RecordingError: a recording is among the earlier and the later ones, or a payload that
+            changed is not declared.
+        TwinError: a recording cannot be read.
+    """
+    notes: list[str] = []
+    groups = [
+        _without_copies(
+            [
+                one
+                for path in dict.fromkeys(paths)
+                for one in read_measured(path, realization, topics, options, options.signals)
+            ],
+            notes,
+        )
+        for paths in (before, new, held_out)
+    ]
+    known = {_content(one): one for one in groups[0]}
+    for one in (*groups[1], *groups[2]):
+        if (same := known.get(_content(one))) is not None:
+            raise RecordingError(
+                f"the same recording is given with --before, as {same.path.name}",
+                path=one.path,
+                expected="other recordings before and after the change",
+            )
+    _refuse_undeclared_payloads(realization, groups[0], [*groups[1], *groups[2]])
+    notes += _temperature_notes(groups[0], groups[1])
+    read = reduce_to_common_joints(groups[0], [*groups[1], *groups[2]], notes)
+    read = without_amounts(realization, read)
+    later = read.held_out
+    notes += list(dict.fromkeys(n for one in (*read.fit, *later) for n in one.notes))
+    count = len(groups[1])
+    return _with_common_efforts(
+        Compared(read.fit, later[:count], later[count:], tuple(dict.fromkeys(notes)))
+    )
+
+
+def _content(one: MeasuredRecording) -> str:
+    """Key of what was measured, whatever the file is called and however it is stored."""
+    digest = hashlib.sha256()
+    for values in (one.position, one.effort):
+        digest.update(np.round(np.nan_to_num(values), 9).tobytes())
+    return digest.hexdigest()
+
+
+def _without_copies(
+    recordings: Sequence[MeasuredRecording], notes: list[str]
+) -> list[MeasuredRecording]:
+    kept: dict[str, MeasuredRecording] = {}
+    for one in recordings:
+        first = kept.setdefault(_content(one), one)
+        if first is not one:
+            notes.append(f"left out: {one.path.name} has the content of {first.path.name}")
+    return list(kept.values())
+
+
+def _refuse_undeclared_payloads(
+    realization: Realization,
+    before: Sequence[MeasuredRecording],
+    later: Sequence[MeasuredRecording],
+) -> None:
+    """Refuse payloads that differ and whose mass the twin does not state."""
+    stated = () if realization.twin is None else realization.twin.payloads
+
+    def unknown(one: MeasuredRecording) -> str:
+        payload = one.metadata.get("payload", "")
+        return "" if payload.lower() in NO_PAYLOAD or payload in stated else payload
+
+    earlier = {unknown(one) for one in before}
+    for one in later:
+        if earlier != {unknown(one)}:
+            raise RecordingError(
+                "its payload differs from that of the earlier recordings, and a payload is not "
+                "declared: its weight would be taken for a change of the robot",
+                path=one.path,
+                where="metadata 'trial': payload",
+                value=one.metadata.get("payload", "none"),
+                expected="payloads: in twin.yaml with the mass of every payload",
+            )
+
+
+def _temperature_notes(
+    before: Sequence[MeasuredRecording], new: Sequence[MeasuredRecording]
+) -> list[str]:
+    stated = [
+        [t for one in recordings if (t := one.metadata.get(TEMPERATURE_KEY))]
+        for recordings in (before, new)
+    ]
+    known = parse_temperatures([*stated[0], *stated[1]])
+    if not stated[0] or not stated[1] or known is None:
+        return []
+    old, now = ([known[t] for t in names] for names in stated)
+    if min(old) <= min(now) and max(now) <= max(old):
+        return []
+    return [
+        f"declared: the temperature is {min(now):g} to {max(now):g} in the new recordings and "
+        f"{min(old):g} to {max(old):g} in the earlier ones; friction changes with it"
+    ]
+
+
+def _with_common_efforts(read: Compared) -> Compared:
+    """Leave out efforts of joints that some recording does not measure."""
+    known = np.all([np.isfinite(one.effort).all(axis=0) for one in read.every], axis=0)
+    if known.all():
+        return read
+    joints = read.before[0].joints
+    lost = [joint for joint, use in zip(joints, known, strict=True) if not use]
+
+    def left(one: MeasuredRecording) -> MeasuredRecording:
+        return replace(one, effort=np.where(known, one.effort, np.nan))
+
+    return Compared(
+        tuple(left(one) for one in read.before),
+        tuple(left(one) for one in read.new),
+        tuple(left(one) for one in read.held_out),
+        (*read.notes, f"without a measured effort in every recording: {', '.join(lost)}"),
+    )
+
+
+def sessions_of(recordings: Sequence[MeasuredRecording]) -> tuple[list[list[int]], str]:
+    """Recordings of each session, and how sessions were distinguished.
+
+    Recordings of one session share their conditions. With dates of at least three days a day is a
+    session, else each recording is one.
+    """
+    days: dict[str, list[int]] = {}
+    for i, one in enumerate(recordings):
+        days.setdefault(one.metadata.get("date", "")[:_DAY], []).append(i)
+    if "" not in days and len(days) >= FEWEST_SESSIONS:
+        return list(days.values()), f"{len(days)} days"
+    return [[i] for i in range(len(recordings))], f"{len(recordings)} recordings"
+
+
+def in_parts(recordings: Sequence[MeasuredRecording]) -> list[MeasuredRecording]:
+    """Recordings cut into equal parts, so that there are enough to compare."""
+    found = []
+    for one in recordings:
+        for rows in np.array_split(np.arange(len(one.time)), _PARTS):
+            found.append(
+                replace(
+                    one,
+                    start=one.start + float(one.time[rows[0]]),
+                    time=one.time[rows] - one.time[rows[0]],
+                    position=one.position[rows],
+                    velocity=None if one.velocity is None else one.velocity[rows],
+                    effort=one.effort[rows],
+                    command=None if one.command is None else one.command[rows],
+                )
+            )
+    return found
+
+
+def outside(before: Sequence[FloatArray], new: Sequence[FloatArray]) -> FloatArray:
+    """(joints,) how far the new motion leaves the range of the earlier one, relative to the range.
+
+    Args:
+        before, new: (2, 3, joints) bounds of position, velocity and acceleration of each recording.
+    """
+    low, high = (np.min([b[0] for b in before], axis=0), np.max([b[1] for b in before], axis=0))
+    beyond = np.zeros(low.shape)
+    for bounds in new:
+        beyond = np.maximum(beyond, np.maximum(low - bounds[0], bounds[1] - high))
+    return np.asarray((beyond / np.maximum(high - low, 1e-12)).max(axis=0))

@@ -1,0 +1,103 @@
+"""``pytest-twin diagnose --before``: what changed since earlier recordings."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.commands import json_output
+from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.progress import Progress
+from pytest_twin.commands.recording_arguments import RECORDING_HELP, recording_options
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import TwinError
+from pytest_twin.formats import atomic
+from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REPORT_FILE
+from pytest_twin.loaded_model import find_model
+from pytest_twin.report import changes
+from pytest_twin.report.text import printable
+
+NO_CHANGE, CHANGED = 0, 1
+LEVEL = 0.05
+"""Default probability of an alarm if nothing changed."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    group = parser.add_argument_group(
+        "what changed since earlier recordings",
+        "RECORDING is compared with earlier recordings of the same robot, by measured effort; an "
+        "error that the model had before is no change, and roles are ignored",
+    )
+    group.add_argument(
+        "--before",
+        metavar="RECORDING",
+        type=Path,
+        nargs="+",
+        action="extend",
+        default=[],
+        help=f"earlier recordings: {RECORDING_HELP}",
+    )
+    group.add_argument(
+        "--alarm-level",
+        metavar="P",
+        type=parse_level,
+        default=LEVEL,
+        help=f"probability of an alarm if nothing changed (default: {LEVEL:g})",
+    )
+
+
+def parse_level(text: str) -> float:
+    """Parse a probability between 0 and 0.5 of a command line."""
+    try:
+        level = float(text)
+    except ValueError:
+        level = 0.0
+    if not 0.0 < level <= 0.5:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected a probability more than 0 and at most 0.5, such as 0.05"
+        )
+    return level
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare; return 0 if nothing changed, else 1.
+
+    Raises:
+        TwinError: the input cannot be used.
+    """
+    if args.scheduler is not None or args.jobs is not None:
+        raise TwinError(
+            "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml"
+        )
+    out: Path = args.out.absolute()
+    request = {
+        "model": str(find_model(args.model)),
+        "new": _absolute(args.recordings),
+        "before": _absolute(args.before),
+        "held_out": _absolute(args.held_out),
+        "topics": args.topics,
+        "options": recording_options(args),
+        "level": args.alarm_level,
+    }
+    with (
+        Progress("comparing") as progress,
+        child_result(out, DIAGNOSIS_FILE, 0.0, None, alone=True) as (staging, sandbox),
+    ):
+        document: dict[str, Any] = sandbox.call(
+            "pytest_twin.changes.compare_files:compare_files",
+            {"request": request},
+            progress=progress,
+        )
+        atomic.write_text(staging / DIAGNOSIS_FILE, json.dumps(document, indent=2) + "\n")
+        atomic.write_text(staging / REPORT_FILE, changes.render(document))
+    json_output.give(args, document)
+    show("\n".join(printable(line) for line in changes.words(document)))
+    show(f"report: {args.out / REPORT_FILE}")
+    return NO_CHANGE if document["verdict"] == "no_change" else CHANGED
+
+
+def _absolute(paths: list[Path]) -> list[str]:
+    return [str(path.absolute()) for path in paths]

@@ -1,0 +1,130 @@
+"""Write what changed since earlier recordings, as text for the terminal and as an HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import jinja2
+
+from pytest_twin.report.diagnosis import spans_in_words
+from pytest_twin.report.finding_words import ambiguity_sentence, meaning_of, percent, place
+from pytest_twin.report.page import style_of, template
+from pytest_twin.report.text import number, quantity
+
+_VERDICT = {
+    "no_change": "Nothing changed that these recordings show",
+    "changed": "Changed: {}",
+    "changed_unnamed": "Changed, and no single law of the catalogue explains it",
+}
+_MOOD = {"no_change": "good", "changed": "bad", "changed_unnamed": "bad"}
+
+
+def words(document: Mapping[str, Any]) -> list[str]:
+    """Return lines for a terminal.
+
+    Args:
+        document: content of ``diagnosis.json`` of ``diagnose --before``.
+    """
+    lines = [headline(document), f"  {alarm_sentence(document)}"]
+    for finding in document["findings"]:
+        lines += [f"  {line}" for line in _before_and_after(finding)]
+        lines.append(f"    Confidence: {percent(finding['confidence'])}. {_gain(finding)}")
+        if rivals := ambiguity_sentence(finding):
+            lines.append(f"    {rivals}")
+    lines.append("  RMS residual of the effort, usual, now, and with the changes:")
+    width = max(len(joint) for joint in document["effort"])
+    for joint, error in document["effort"].items():
+        usual, before, after = _errors(error)
+        lines.append(f"    {joint:<{width}}  {usual}, {before}, {after}")
+    lines += [f"  Note: {note}" for note in document["notes"]]
+    return lines
+
+
+def headline(document: Mapping[str, Any]) -> str:
+    """Return the verdict as a sentence."""
+    names = ", ".join(place(finding) for finding in document["findings"])
+    return _VERDICT[document["verdict"]].format(names)
+
+
+def alarm_sentence(document: Mapping[str, Any]) -> str:
+    """Return the score, its threshold, and what the threshold rests on."""
+    alarm = document["alarm"]
+    freedom = alarm["degrees_of_freedom"]
+    law = "a quantile" if freedom is None else f"a t law with {freedom} degrees of freedom"
+    return (
+        f"Score {number(alarm['score'])}; alarm above {number(alarm['threshold'])}, which "
+        f"{percent(alarm['level'])} of unchanged sessions exceed: {law} of {alarm['sessions']} "
+        "before, each compared with the others."
+    )
+
+
+def render(document: Mapping[str, Any]) -> str:
+    """Return the report as one HTML document without external files."""
+    style = style_of("report.css", "diagnosis.css")
+    return _template().render(
+        style=style.text,
+        style_hash=style.sha256,
+        document=document,
+        headline=headline(document),
+        mood=_MOOD[document["verdict"]],
+        alarm=alarm_sentence(document),
+        findings=[
+            {
+                **finding,
+                "name": place(finding),
+                "rows": _rows(finding),
+                "gain": _gain(finding),
+                "ambiguous": ambiguity_sentence(finding),
+                "spans": [(n, spans_in_words(w)) for n, w in finding["where"]["windows"].items()],
+            }
+            for finding in document["findings"]
+        ],
+        errors=[(joint, *_errors(error)) for joint, error in document["effort"].items()],
+    )
+
+
+def _rows(finding: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Meaning, value before, value now, and change with its interval, of each amplitude."""
+    rows = []
+    for key, change in finding["change"].items():
+        before, now = finding["known_before"][key], finding["parameters"][key]
+        low, high = (number(bound) for bound in change["ci95"])
+        rows.append((
+            meaning_of(finding["effect"], key),
+            quantity(before["value"], before["unit"]),
+            quantity(now["value"], now["unit"]),
+            f"{change['value']:+.4g} ({low} to {high})",
+        ))  # fmt: skip
+    return rows
+
+
+def _before_and_after(finding: Mapping[str, Any]) -> list[str]:
+    name = place(finding)
+    lines = [f"{name[:1].upper()}{name[1:]}, beside the model:"]
+    lines += [
+        f"  {meaning}: {before} before, {now} now; change {change}"
+        for meaning, before, now, change in _rows(finding)
+    ]
+    return lines
+
+
+def _gain(finding: Mapping[str, Any]) -> str:
+    held_out = finding["held_out_gain"]
+    if held_out is None:
+        share = percent(finding["residual_gain"])
+        return f"It explains {share} of the squared residual; nothing is held out to test it."
+    return f"All changes together remove {percent(held_out)} of the squared held-out residual."
+
+
+def _errors(error: Mapping[str, Any]) -> tuple[str, str, str]:
+    usual, before, after = (
+        quantity(error[key], error["unit"]) for key in ("rms_usual", "rms_before", "rms_after")
+    )
+    return usual, before, after
+
+
+@cache
+def _template() -> jinja2.Template:
+    return template("changes.html.j2", percent=percent)

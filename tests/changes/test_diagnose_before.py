@@ -1,0 +1,157 @@
+"""``diagnose --before``: what changed between two sets of recordings with measured effort."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pytest_twin.cli import main
+
+sys.path.append(str(Path(__file__).parents[1] / "identification"))
+from arms import simulated_effort, true_arm, write_model, write_recording
+
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+EARLIER = 5
+
+
+def record(folder: Path, name: str, seed: int, *, factor: float = 1.0, **changes: float) -> Path:
+    """A recording of 12 s of the arm, with other parameters where ``changes`` states them."""
+    arm = true_arm(folder, **changes)
+    time, position, effort = simulated_effort(arm, seed, seconds=12.0, rate=50.0)
+    return write_recording(folder / name, time, position, factor * effort)
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a model that is wrong in many ways, and recordings of the arm before."""
+    folder = tmp_path_factory.mktemp("robot")
+    write_model(folder)
+    for seed in range(EARLIER):
+        record(folder, f"old{seed}.csv", seed)
+    return folder
+
+
+def compare(
+    robot: Path, out: Path, *new: Path, old: int = EARLIER, more: tuple[str, ...] = ()
+) -> tuple[int, dict[str, Any]]:
+    earlier = [str(robot / f"old{k}.csv") for k in range(old)]
+    status = main([
+        "diagnose", str(robot / "model.xml"), *map(str, new), "--before", *earlier,
+        "--out", str(out), *more,
+    ])  # fmt: skip
+    document = json.loads((out / "diagnosis.json").read_text()) if status < 2 else {}
+    return status, document
+
+
+def test_unchanged_robot_is_no_change_although_the_model_is_wrong(
+    robot: Path, tmp_path: Path
+) -> None:
+    new = record(tmp_path, "new.csv", 11)
+    status, document = compare(robot, tmp_path / "out", new)
+    assert (status, document["verdict"], document["findings"]) == (0, "no_change", [])
+    assert document["alarm"]["degrees_of_freedom"] == EARLIER - 1
+
+
+def test_more_dry_friction_in_one_recording_is_named_with_its_size(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = record(tmp_path, "new.csv", 11, friction=1.6)
+    status, document = compare(robot, tmp_path / "out", new)
+    assert (status, document["verdict"]) == (1, "changed")
+    (finding,) = document["findings"]
+    assert (finding["effect"], finding["joint"]) == ("coulomb_friction", "shoulder")
+    low, high = finding["change"]["coulomb"]["ci95"]
+    assert low < 0.8 < high
+    assert finding["held_out_gain"] is None
+    assert document["before"]["recordings"] == [f"old{k}.csv" for k in range(EARLIER)]
+    assert "nothing is held out" in capsys.readouterr().out
+    assert "Changed: Coulomb friction at joint shoulder" in (
+        (tmp_path / "out" / "report.html").read_text()
+    )
+
+
+def test_held_out_recordings_test_the_change(robot: Path, tmp_path: Path) -> None:
+    new = record(tmp_path, "new.csv", 11, damping=3.0)
+    held_out = record(tmp_path, "held_out.csv", 12, damping=3.0)
+    _, document = compare(robot, tmp_path / "out", new, more=("--held-out", str(held_out)))
+    (finding,) = document["findings"]
+    assert (finding["effect"], finding["joint"]) == ("viscous_friction", "shoulder")
+    assert finding["held_out_gain"] > 0.9
+
+
+def test_another_sampling_rate_is_no_change(robot: Path, tmp_path: Path) -> None:
+    arm = true_arm(tmp_path)
+    new = write_recording(tmp_path / "new.csv", *simulated_effort(arm, 11, 12.0, rate=125.0))
+    assert compare(robot, tmp_path / "out", new)[0] == 0
+
+
+def test_a_recording_that_is_both_before_and_new_is_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copied = tmp_path / "renamed.csv"
+    copied.write_bytes((robot / "old2.csv").read_bytes())
+    status, _ = compare(robot, tmp_path / "out", copied)
+    assert status == 2
+    assert "the same recording is given with --before, as old2.csv" in capsys.readouterr().err
+
+
+def test_efforts_in_another_unit_are_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = record(tmp_path, "new.csv", 11, factor=1000.0)
+    status, _ = compare(robot, tmp_path / "out", new)
+    assert status == 2
+    assert "another unit" in capsys.readouterr().err
+
+
+def test_a_recording_without_effort_is_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = record(tmp_path, "new.csv", 11, factor=0.0)
+    status, _ = compare(robot, tmp_path / "out", new)
+    assert status == 2
+    assert "no measured effort" in capsys.readouterr().err
+
+
+def test_a_motion_outside_the_earlier_range_raises_the_alarm_level(
+    robot: Path, tmp_path: Path
+) -> None:
+    arm = true_arm(tmp_path)
+    time, position, effort = simulated_effort(arm, 11, 12.0, rate=50.0, about=1.0)
+    new = write_recording(tmp_path / "new.csv", time, position, effort)
+    status, document = compare(robot, tmp_path / "out", new)
+    assert any("leaves the range" in note for note in document["notes"])
+    assert status == 0
+
+
+def test_a_drift_between_earlier_sessions_is_no_alarm(robot: Path, tmp_path: Path) -> None:
+    """The damping varies by 20 % from session to session, as with the temperature."""
+    random = np.random.default_rng(3)
+    write_model(tmp_path)
+    for seed in range(EARLIER):
+        damping = 1.5 * (1.0 + 0.2 * random.standard_normal())
+        record(tmp_path, f"old{seed}.csv", seed, damping=damping)
+    new = record(tmp_path, "new.csv", 11, damping=1.5 * 1.25)
+    assert compare(tmp_path, tmp_path / "out", new)[0] == 0
+
+
+def test_a_stricter_level_needs_a_larger_change(robot: Path, tmp_path: Path) -> None:
+    new = record(tmp_path, "new.csv", 11)
+    thresholds = [
+        compare(robot, tmp_path / f"out{level}", new, more=("--alarm-level", level))[1]["alarm"][
+            "threshold"
+        ]
+        for level in ("0.3", "0.05", "0.01")
+    ]
+    assert thresholds == sorted(thresholds)
+
+
+def test_one_earlier_recording_is_compared_in_parts(robot: Path, tmp_path: Path) -> None:
+    new = record(tmp_path, "new.csv", 11, friction=2.4)
+    _, document = compare(robot, tmp_path / "out", new, old=1)
+    assert any("compared in parts" in note for note in document["notes"])
