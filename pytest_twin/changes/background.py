@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.estimation.score import effective_samples
-from pytest_twin.identification.effort.law_columns import EffortRows
+from pytest_twin.identification.effort.law_columns import EffortRows, Shape
 
 _PRIORS = (0.02, 0.06, 0.2)
 """Possible standard deviations of an amplitude before any recording: its effort relative to the RMS
@@ -208,6 +208,26 @@ class Remainder:
         information += _RIDGE * np.trace(information) * np.eye(len(columns))
         right = (1.0 / self.power) @ self.vector[:, columns]
         return np.linalg.solve(information, right), information
+
+    def seeming_covariances(
+        self, shapes: Sequence[Shape], covariance: FloatArray
+    ) -> list[FloatArray]:
+        """For each shape, (k, k) covariance of the change that only an unknown background causes.
+
+        It is large where the motion moves what earlier motions did not.
+
+        Args:
+            covariance: (p, p) covariance of the background.
+        """
+        information = np.einsum("j,jab->ab", 1.0 / self.power, self.matrix)
+        spread = information @ covariance @ information
+        found = []
+        for shape in shapes:
+            square = np.ix_(shape.indices, shape.indices)
+            own = information[square]
+            inverse = np.linalg.inv(own + _RIDGE * np.trace(own) * np.eye(len(own)))
+            found.append(inverse @ spread[square] @ inverse)
+        return found
 
     def power_after(self, columns: NDArray[np.intp], change: FloatArray) -> FloatArray:
         """(joints,) sum of squared residuals after a change of these amplitudes."""

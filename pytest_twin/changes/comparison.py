@@ -11,11 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Background, Remainder, Rows, background_of
 from pytest_twin.estimation.hypothesis import Term
+from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.law_columns import Shape
 
 _SAMPLES = 50.0
@@ -51,7 +53,7 @@ class Null:
             rank = int(np.ceil((count + 1) * (1.0 - level))) - 1
             return float(np.sort(self.scores)[rank])
         spread = float(self.scores.std(ddof=1)) * np.sqrt(1.0 + 1.0 / count)
-        return float(self.scores.mean() + stats.t.ppf(1.0 - level, count - 1) * spread)
+        return float(self.scores.mean() + stdtrit(count - 1, 1.0 - level) * spread)
 
     def is_t_law(self, level: float) -> bool:
         """Whether there are too few sessions for a quantile."""
@@ -130,15 +132,16 @@ def compare(
     null, usual = _null(rows, sessions, background, shapes)
     # Means of several sessions drift less.
     share = widening**2 * (1.0 / len(later) + 1.0 / len(sessions))
-    drift = tuple(share * own for own in null.drift)
     remainder = Remainder.of(rows, [i for session in later for i in session], background)
+    covariance = np.linalg.inv(background.precision)
+    unknown = remainder.seeming_covariances(shapes, covariance)
+    drift = tuple(share * own + more for own, more in zip(null.drift, unknown, strict=True))
     first = _scores(remainder, shapes, drift)
     score, threshold = float(first.max()), widening * max(null.threshold(level), 0.0)
     changes: list[Change] = []
     rest, scores = remainder, first
-    covariance = np.linalg.inv(background.precision)
     while scores.max() > threshold and len(changes) < _MOST_CHANGES:
-        change = _best_change(rest, shapes, drift, scores, covariance)
+        change = _best_change(rest, shapes, drift, scores)
         if change.confidence < SURE_OF_NAME:
             break
         changes.append(change)
@@ -154,9 +157,12 @@ def _null(
     rows: Rows, sessions: Sequence[Sequence[int]], background: Background, shapes: Sequence[Shape]
 ) -> tuple[Null, FloatArray]:
     """Compare each session with the others; also (joints,) RMS residual of sessions left out."""
-    left_out = [
-        Remainder.of(rows, session, background.without(rows, session)) for session in sessions
-    ]
+    left_out, unknown = [], []
+    for session in sessions:
+        others = background.without(rows, session)
+        remainder = Remainder.of(rows, session, others)
+        left_out.append(remainder)
+        unknown.append(remainder.seeming_covariances(shapes, np.linalg.inv(others.precision)))
     squares = []
     for remainder in left_out:
         seeming = [remainder.fit(shape.indices)[0] for shape in shapes]
@@ -164,10 +170,10 @@ def _null(
     total = [np.sum(own, axis=0) for own in zip(*squares, strict=True)]
     count = len(sessions)
     scores = []
-    for remainder, own in zip(left_out, squares, strict=True):
-        share = (1.0 + 1.0 / (count - 1)) / (count - 1)
-        others = [share * (t - o) for t, o in zip(total, own, strict=True)]
-        scores.append(float(_scores(remainder, shapes, others).max()))
+    share = (1.0 + 1.0 / (count - 1)) / (count - 1)
+    for remainder, own, more in zip(left_out, squares, unknown, strict=True):
+        drift = [share * (t - o) + u for t, o, u in zip(total, own, more, strict=True)]
+        scores.append(float(_scores(remainder, shapes, drift).max()))
     samples = sum(remainder.samples for remainder in left_out)
     power = np.sum([remainder.power for remainder in left_out], axis=0)
     null = Null(np.array(scores), tuple(t / count for t in total))
@@ -200,13 +206,8 @@ def _best_change(
     shapes: Sequence[Shape],
     drift: Sequence[FloatArray],
     scores: FloatArray,
-    covariance: FloatArray,
 ) -> Change:
-    """The most probable law, in its best shape.
-
-    Args:
-        covariance: (p, p) of the background.
-    """
+    """The most probable law, in its best shape."""
     odds: dict[Term, float] = {}
     count: dict[Term, int] = {}
     for shape, score in zip(shapes, scores, strict=True):
@@ -221,10 +222,17 @@ def _best_change(
     at = max(
         (k for k, shape in enumerate(shapes) if shape.term == term), key=lambda k: float(scores[k])
     )
+    value, own = _estimate(remainder, shapes[at], drift[at])
+    simpler = _simplest(shapes, at, np.abs(value) > Z95 * np.sqrt(np.diag(own)), scores)
+    confidence = probability[term]
+    if simpler != at:
+        at, replaced = simpler, term
+        term = shapes[at].term
+        value, own = _estimate(remainder, shapes[at], drift[at])
+        if term != replaced:
+            confidence += probability[term]
+            del probability[replaced]
     columns = shapes[at].indices
-    value, information = remainder.fit(columns)
-    own = np.linalg.inv(information) / _SAMPLES + drift[at]
-    own = own + covariance[np.ix_(columns, columns)]
     after = remainder.power_after(columns, value)
     acted = (remainder.matrix[:, columns, columns] > 0.0).any(axis=1)
     gain = 1.0 - float(np.mean(after[acted] / remainder.power[acted])) if acted.any() else 0.0
@@ -233,4 +241,28 @@ def _best_change(
         for one, p in sorted(probability.items(), key=lambda each: -each[1])[:6]
         if one != term and p >= 0.01
     }
-    return Change(shapes[at], value, own, probability[term], rivals, gain)
+    return Change(shapes[at], value, own, confidence, rivals, gain)
+
+
+def _estimate(
+    remainder: Remainder, shape: Shape, drift: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(k,) change of the amplitudes of a shape and its (k, k) covariance."""
+    value, information = remainder.fit(shape.indices)
+    return value, np.linalg.inv(information) / _SAMPLES + drift
+
+
+def _simplest(
+    shapes: Sequence[Shape], at: int, significant: NDArray[np.bool_], scores: FloatArray
+) -> int:
+    """Index of the law that has the significant amplitudes of a shape and fewer others.
+
+    Dry friction alone instead of Stribeck friction without a significant stiction, for example.
+    """
+    own = set(shapes[at].indices.tolist())
+    needed = set(shapes[at].indices[significant].tolist())
+    simpler = [
+        k for k, shape in enumerate(shapes)
+        if needed and needed <= set(shape.indices.tolist()) < own
+    ]  # fmt: skip
+    return max(simpler, key=lambda k: float(scores[k]), default=at)

@@ -13,6 +13,7 @@ from pytest_twin.changes.comparison import Comparison, compare
 from pytest_twin.changes.recordings import (
     FEWEST_SESSIONS,
     Compared,
+    at_one_rate,
     in_parts,
     outside,
     sessions_of,
@@ -29,6 +30,8 @@ from pytest_twin.realization.inverse_dynamics import InverseDynamics
 _BANDWIDTH = 5.0
 """Largest bandwidth of the comparison, Hz. Arms move below it; above it efforts are noise of the
 encoders and of the drives' control."""
+_OVERSAMPLED = 15.0
+"""Smallest ratio of the sampling rate to the bandwidth: central differences then lose 3 %."""
 _POSITIONS, _RATE = 4.0, 2.5
 """Cutoff of the positions and rate of the rows, relative to the bandwidth."""
 _REST = 0.002
@@ -84,7 +87,8 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
             f"fewer than {FEWEST_SESSIONS} earlier recordings: they are compared in parts, which "
             "share their conditions, so alarms are more frequent than the level; record more"
         )
-    every = [*before, *compared.new, *compared.held_out]
+    every = at_one_rate([*before, *compared.new, *compared.held_out])
+    before = every[: len(before)]
     chosen = _filter(every)
     laws, parts = _laws_along(realization, every, chosen, len(before))
     known = np.isfinite(np.concatenate([part.effort for part in parts])).any(axis=0)
@@ -113,9 +117,9 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
 
 def _filter(recordings: Sequence[MeasuredRecording]) -> Filter:
     """One filter for all recordings: efforts at other rates are compared in the same band."""
-    band = min(choose_filter(recordings).parallel, _BANDWIDTH)
     slowest = min(one.rate for one in recordings)
-    return Filter(min(_POSITIONS * band, 0.4 * slowest), band, min(_RATE * band, slowest))
+    band = min(choose_filter(recordings).parallel, _BANDWIDTH, slowest / _OVERSAMPLED)
+    return Filter(_POSITIONS * band, band, _RATE * band)
 
 
 def _laws_along(

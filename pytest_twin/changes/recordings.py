@@ -13,6 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.temperature import TEMPERATURE_KEY, parse_temperatures
 from pytest_twin.errors import RecordingError
 from pytest_twin.identification.effort.amounts import without_amounts
+from pytest_twin.identification.effort.filtering import low_passed, resample_uniformly
 from pytest_twin.identification.measured_recordings import (
     MeasuredRecording,
     read_measured,
@@ -25,6 +26,10 @@ FEWEST_SESSIONS = 3
 """Fewest earlier sessions that can be compared with each other."""
 _PARTS = 4
 """Number of parts into which earlier recordings are cut if there are too few."""
+_SAME_RATE = 1.05
+"""Ratio of two sampling rates up to which they are the same."""
+_BELOW_NYQUIST = 0.4
+"""Cutoff before a recording gets a lower rate, relative to that rate."""
 _DAY = 10
 """Number of characters of a date without its time: 2026-05-03."""
 
@@ -214,6 +219,26 @@ def in_parts(recordings: Sequence[MeasuredRecording]) -> list[MeasuredRecording]
                 )
             )
     return found
+
+
+def at_one_rate(recordings: Sequence[MeasuredRecording]) -> list[MeasuredRecording]:
+    """The recordings at the rate of the slowest one, so that differentiation treats all alike."""
+    slowest = min(one.rate for one in recordings)
+    return [
+        one if one.rate <= _SAME_RATE * slowest else _slower(one, slowest) for one in recordings
+    ]
+
+
+def _slower(one: MeasuredRecording, rate: float) -> MeasuredRecording:
+    time = np.arange(int(one.time[-1] * rate) + 1) / rate
+    even = resample_uniformly(one)
+
+    def resampled(values: FloatArray) -> FloatArray:
+        smooth = low_passed(values, _BELOW_NYQUIST * rate, even.rate)
+        return np.stack([np.interp(time, even.time, column) for column in smooth.T], axis=1)
+
+    position, effort = resampled(even.position), resampled(even.effort)
+    return replace(one, time=time, position=position, effort=effort, velocity=None, command=None)
 
 
 def outside(before: Sequence[FloatArray], new: Sequence[FloatArray]) -> FloatArray:

@@ -49,7 +49,7 @@ def headline(document: Mapping[str, Any]) -> str:
 
 
 def alarm_sentence(document: Mapping[str, Any]) -> str:
-    """Return the score, its threshold, and what the threshold rests on."""
+    """Return the score, its threshold, and where the threshold is from."""
     alarm = document["alarm"]
     freedom = alarm["degrees_of_freedom"]
     law = "a quantile" if freedom is None else f"a t law with {freedom} degrees of freedom"

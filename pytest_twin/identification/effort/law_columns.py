@@ -269,7 +269,7 @@ class _Form:
     Attributes:
         start: (parameters,) in multiples of references.
         values: (parameters, joints) SI units; the amplitudes are neutral.
-        shapes: joint -> the shape that stands for this form there.
+        shapes: joint -> the shape that represents this form there.
     """
 
     law: Effect
