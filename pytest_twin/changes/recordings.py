@@ -86,6 +86,14 @@ def read_compared(
         )
         for paths in (before, new, held_out)
     ]
+    for one in (*groups[0], *groups[1], *groups[2]):
+        if one.base is not None:
+            raise RecordingError(
+                "the base of the robot moves; --before compares robots with a fixed base",
+                path=one.path,
+                where="pose of the base",
+                expected="recordings of a robot that stands on the ground or in a rig",
+            )
     known = {_content(one): one for one in groups[0]}
     for one in (*groups[1], *groups[2]):
         if (same := known.get(_content(one))) is not None:
