@@ -15,6 +15,8 @@ LIMITS: Mapping[str, tuple[str, ...]] = {
     "none": ("--seconds", "0"),
     "default": (),
     "45s": ("--seconds", "45"),
+    "60s": ("--seconds", "60"),
+    "120s": ("--seconds", "120"),
 }
 """Name of a time limit -> options of the command. A user's default is the command's own."""
 
@@ -78,7 +80,7 @@ class Problem:
     name: str
     command: Command
     write: Callable[[Path], Inputs]
-    limits: Sequence[str] = ("none", "default")
+    limits: Sequence[str] = ("none", "default", "60s", "120s")
 
     @property
     def family(self) -> str:
