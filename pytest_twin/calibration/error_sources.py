@@ -15,11 +15,11 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.block_jackknife import block_jackknife, is_odometry
 from pytest_twin.calibration.parameters import State, Variables
 from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.solve import Fit, at_state, prior_rows, prior_values
 from pytest_twin.calibration.terms import PoseTerm
+from pytest_twin.estimation.covariance import block_jackknife
 
 SOURCES = ("across", "along", "rotation", "flange_translation", "flange_rotation")
 """Sources: errors of the target's position across and along the view (m), of its orientation (rad),
@@ -93,7 +93,7 @@ def weigh_by_source(found: CalibrationEstimate) -> tuple[CalibrationEstimate, Ma
     except np.linalg.LinAlgError:
         return found, {}
     quantile = float(student.ppf(0.975, max(fit.degrees, 1.0)))
-    if is_odometry(fit.problem):
+    if fit.problem.is_odometry:
         root = np.swapaxes(np.linalg.cholesky(weights), 1, 2)
         residuals = np.einsum("nab,nb->na", root, linear.residuals)
         covariance, quantile = block_jackknife(root @ linear.slopes, residuals, prior)

@@ -58,6 +58,15 @@ class CalibrationProblem:
     notes: tuple[str, ...] = ()
     camera_unit: float = 1.0
 
+    @property
+    def is_odometry(self) -> bool:
+        """Whether only poses of a camera's own odometry or SLAM were measured.
+
+        Its errors accumulate along the path, so neighbouring poses share nearly all of them. If
+        they were assumed independent, the intervals would be far too narrow.
+        """
+        return self.plan.has_free_scale and len(self.terms) == 1
+
     def flange(self, variables: Variables) -> TransformWithJacobian:
         """``transform_base_to_flange`` of all rows, with derivatives."""
         if self.chain is not None:

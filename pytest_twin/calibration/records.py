@@ -10,7 +10,6 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.block_jackknife import block_jackknife, is_odometry
 from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.observability import Direction, affected_unknowns
@@ -26,6 +25,7 @@ from pytest_twin.calibration.problem import (
 )
 from pytest_twin.calibration.solve import Fit, prior_rows
 from pytest_twin.calibration.transform_derivatives import skew
+from pytest_twin.estimation.covariance import block_jackknife
 from pytest_twin.metrics.pose import quaternion_of
 
 NOT_ASKED = {
@@ -77,7 +77,7 @@ def estimate(fit: Fit, directions: tuple[Direction, ...]) -> CalibrationEstimate
     layout = fit.problem.layout
     left_out = jackknife(fit)
     lost = affected_unknowns(layout, directions)
-    if is_odometry(fit.problem) and not directions:
+    if fit.problem.is_odometry and not directions:
         slopes, residuals = _whitened_rows(fit)
         prior = prior_rows(fit.problem)
         covariance, quantile = block_jackknife(slopes, residuals, prior.T @ prior)

@@ -13,6 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.friction import LoadDependentFriction
 from pytest_twin.effects.transmission import Backlash
+from pytest_twin.estimation.covariance import predicted_covariance
 from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.closed_loop import Response
 from pytest_twin.excitation.gravity_grid import SETTLE, random_poses, static_matrix
@@ -20,7 +21,6 @@ from pytest_twin.excitation.motion import Motion
 from pytest_twin.excitation.noise import SampleNoise
 from pytest_twin.identification.regressor.base_parameters import BaseParameters, base_of
 from pytest_twin.identification.regressor.columns import drive_effects
-from pytest_twin.identification.regressor.covariance import predicted_covariance
 from pytest_twin.identification.regressor.regressor import Regressor
 
 SMALL_EFFORT = 0.01

@@ -20,12 +20,12 @@ from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.effects.base import JOINT_FIELDS
+from pytest_twin.estimation.covariance import correlated_pairs
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.identify_effort import EffortResult
 from pytest_twin.identification.effort.servo_gains import ServoGains
 from pytest_twin.identification.measured_recordings import MeasuredRecordings
-from pytest_twin.identification.records import correlated_pairs
 from pytest_twin.identification.regressor.columns import drive_effects
 from pytest_twin.identification.simulation.document import parameters_with_covariance
 from pytest_twin.identification.simulation.identify_by_simulation import (

@@ -9,6 +9,7 @@ import numpy as np
 
 from pytest_twin import __version__
 from pytest_twin.effects.sensing import EffortBias, EffortScale
+from pytest_twin.estimation.covariance import correlated_pairs
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.encoders import SCALE, undetermined_entries
 from pytest_twin.identification.effort.estimate import SQUARES
@@ -31,8 +32,6 @@ _SMALL_ERROR = 0.03
 """Relative error of plain least squares below which it counts as so large."""
 _INERTIA_OF_MODELS = 0.3
 """Half width of the 95 % interval of a model's inertia, relative: CAD models are right to 30 %."""
-_CORRELATED = 0.9
-"""Correlation above which a pair of parameters is reported."""
 
 
 def verdict_of(stages: Sequence[Stage], better: bool, held_out: bool, consistent: bool) -> Verdict:
@@ -284,20 +283,6 @@ def _rejection(error: EffortError, least_squares: EffortError) -> dict[str, str]
 
 def _mean(errors: Mapping[str, EffortError]) -> float:
     return float(np.mean([error.relative for error in errors.values()]))
-
-
-def correlated_pairs(names: Sequence[str], covariance: np.ndarray) -> list[dict[str, Any]]:
-    """Return pairs of strongly correlated parameters."""
-    std = np.sqrt(np.diag(covariance).clip(1e-300))
-    correlation = covariance / np.outer(std, std)
-    found = []
-    for i in range(len(names)):
-        for k in range(i):
-            if abs(correlation[i, k]) >= _CORRELATED:
-                found.append(
-                    {"pair": [names[k], names[i]], "correlation": float(correlation[i, k])}
-                )
-    return sorted(found, key=lambda one: -abs(one["correlation"]))
 
 
 def _unobservable(result: EffortResult) -> list[dict[str, str]]:

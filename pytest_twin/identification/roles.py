@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.errors import RecordingError, TwinError
+from pytest_twin.estimation.roles import split_by_role
 from pytest_twin.identification.measured_recordings import (
     MeasuredRecording,
     MeasuredRecordings,
@@ -18,8 +19,6 @@ from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 
-ONE_HELD_OUT_OF = 4
-"""One recording of so many is held out if no role is given."""
 NO_PAYLOAD = frozenset({"none", "no", "empty", "0"})
 """Names of a payload that mean that there is none."""
 
@@ -55,29 +54,17 @@ def read_by_role(
         except TwinError as error:
             errors.append(error)
             notes.append(f"left out: {error}")
-    aside = [path for path in held_out if path in known]
     fit = [path for path in dict.fromkeys(recordings) if path in known and path not in held_out]
-    if not held_out:
-        aside = [p for p in fit if known[p] and known[p][0].metadata.get("role") == "held_out"]
-        if not aside and len(fit) > 1:
-            count = max(1, len(fit) // ONE_HELD_OUT_OF)
-            aside = fit[-count:]
-            names = ", ".join(path.name for path in aside)
-            notes.append(f"held out (chosen automatically): {names}; choose with --held-out")
-        fit = [path for path in fit if path not in aside]
-    if not fit:
-        if errors:
-            raise errors[0]
-        raise RecordingError(
-            "no recording remains to fit",
-            path=(held_out or recordings)[0],
-            expected="at least one RECORDING that is not under --held-out",
-        )
-    if not aside:
-        notes.append(
-            "nothing is held out: no result can be accepted; make a second recording and name it "
-            "with --held-out"
-        )
+    if errors and not fit:
+        raise errors[0]
+    fit, aside = split_by_role(
+        fit,
+        [path for path in held_out if path in known],
+        lambda path: known[path][0].metadata.get("role") if known[path] else None,
+        lambda path: path,
+        notes,
+        is_named=bool(held_out),
+    )
     fitted = [one for path in fit for one in known[path]]
     tested = [one for path in aside for one in known[path]]
     notes += _unknown_payloads(realization, [*fitted, *tested])

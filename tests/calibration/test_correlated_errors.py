@@ -8,8 +8,8 @@ import cells
 import numpy as np
 import pytest
 
-from pytest_twin.calibration.block_jackknife import block_jackknife
 from pytest_twin.calibration.calibrate import calibrate
+from pytest_twin.estimation.covariance import block_jackknife
 
 TRUTH = np.array([0.7, -0.3])
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from pytest_twin.identification.effort.blocks import block_of, bootstrap
+from pytest_twin.estimation.covariance import block_of
+from pytest_twin.identification.effort.blocks import bootstrap
 from pytest_twin.identification.effort.least_squares import LinearProblem, solve
 
 TRUE = np.array([2.0, -0.7])

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from drawn_robots import Link, drawn_arm, mjcf, write_log
 
+from pytest_twin.estimation.paired_test import compare_paired
 from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
-from pytest_twin.identification.paired_test import compare_paired
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from pytest_twin.identification.paired_test import PairedTest, compare_paired
+from pytest_twin.estimation.paired_test import PairedTest, compare_paired
 
 LENGTHS = (400, 600)
 

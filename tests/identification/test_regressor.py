@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_twin.errors import SpecError
+from pytest_twin.estimation.covariance import predicted_covariance
 from pytest_twin.identification.regressor.base_parameters import (
     RANK_TOLERANCE,
     base_of,
     structural_base,
 )
 from pytest_twin.identification.regressor.columns import SharedMotor
-from pytest_twin.identification.regressor.covariance import predicted_covariance
 from pytest_twin.identification.regressor.regressor import Regressor
 from pytest_twin.realization import Realization, load
 from pytest_twin.strategies import robots

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from pytest_twin import __version__
+from pytest_twin.estimation.covariance import correlated_pairs
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.contact.fit import ContactFit
 from pytest_twin.identification.contact.loss import TossErrors, losses
@@ -113,7 +114,7 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
             ],
         },
         "fit": _model_changes(fit, realization),
-        "correlated": _correlated_pairs(names, fit.covariance),
+        "correlated": correlated_pairs(names, fit.covariance),
         "suspected": [],
         "without_effort": [],
         "notes": [],
@@ -218,14 +219,3 @@ def _model_changes(fit: ContactFit, realization: Realization) -> dict[str, Any]:
 
 def _name(model: mujoco.MjModel, geom: int) -> str:
     return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or ""
-
-
-def _correlated_pairs(names: list[str], covariance: Any) -> list[dict[str, Any]]:
-    deviation = np.sqrt(np.diag(covariance).clip(1e-300))
-    matrix = covariance / np.outer(deviation, deviation)
-    return [
-        {"pair": [names[j], names[i]], "correlation": float(matrix[i, j])}
-        for i in range(len(names))
-        for j in range(i)
-        if abs(matrix[i, j]) > 0.9
-    ]

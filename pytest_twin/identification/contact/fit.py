@@ -11,6 +11,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
+from pytest_twin.estimation.covariance import small_sample_factor
 from pytest_twin.identification.contact.loss import (
     Stretch,
     TossErrors,
@@ -33,7 +34,6 @@ from pytest_twin.identification.contact.uncertainty import (
     bootstrap_minimum,
     by_toss,
     is_as_good,
-    small_sample_factor,
     surface,
 )
 from pytest_twin.time_limit import skips

@@ -13,11 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm, qmc
-from scipy.stats import t as student
+from scipy.stats import qmc
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.formats.record_fields import Z95
+from pytest_twin.estimation.covariance import small_sample_factor
 from pytest_twin.identification.contact.search import Loss
 
 REACH = 0.1
@@ -156,21 +155,6 @@ def bootstrap_minimum(
         vectors[:, at] for at in range(len(values)) if values[at] > UNDETERMINED**2 or endless[at]
     ]
     return BootstrapMinimum(centre, covariance, tuple(undetermined))
-
-
-def small_sample_factor(tosses: int, deviations: float = Z95) -> float:
-    """Return the factor by which an interval is widened for a small number of tosses.
-
-    The variance of resamples of n tosses is too small by ``(n - 1) / n``, and the variance from few
-    tosses is itself uncertain. The factor includes both, with Student's quantile over the normal
-    one of the same probability.
-
-    Args:
-        tosses: number of tosses, at least two.
-        deviations: half width of the interval for many tosses, in standard deviations.
-    """
-    wide = float(student.ppf(norm.cdf(deviations), tosses - 1)) / deviations
-    return wide * float(np.sqrt(tosses / (tosses - 1)))
 
 
 def is_as_good(one: FloatArray, other: FloatArray) -> bool:

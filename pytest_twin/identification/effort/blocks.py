@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.estimation.covariance import (
+    ENOUGH_RECORDINGS,
+    block_of,
+    bootstrap_deviations,
+)
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution, weight_rows
 
-_ENOUGH = 10
-"""Smallest number of recordings for which each recording is one block."""
-_BLOCKS = 20
-"""Number of blocks for fewer recordings."""
-_RESAMPLES = 500
-"""Number of bootstrap resamples."""
 _WIDER = 1.5
 """Ratio of bootstrap to stated standard deviation above which the report mentions it."""
 
@@ -54,7 +52,7 @@ def bootstrap(
     """
     deviation = bootstrap_deviations(*normal_equations(problem, fitted.weight, left))
     half = Z95 * deviation[:, None] * np.array([-1.0, 1.0])
-    whole = len(problem.lengths) >= _ENOUGH
+    whole = len(problem.lengths) >= ENOUGH_RECORDINGS
     return Bootstrap(
         blocks=len(problem.lengths) if whole else len(np.unique(block_of(problem.lengths))),
         recordings=whole,
@@ -82,28 +80,3 @@ def normal_equations(
         matrices.append(z.T @ w)
         rights.append(z.T @ (problem.effort[mine] * weight[mine]).ravel())
     return np.array(matrices), np.array(rights)
-
-
-def bootstrap_deviations(matrices: FloatArray, rights: FloatArray) -> FloatArray:
-    """(b,) standard deviation of the solutions over resamples of the blocks."""
-    blocks, count = rights.shape
-    if blocks < 2 or not count:
-        return np.zeros(count)
-    # Columns have unit length, and the seed is fixed: the same recordings give the same result.
-    sizes = np.sqrt(np.maximum(np.abs(np.einsum("kbb->b", matrices)), 1e-300))
-    weights = np.random.default_rng(0).exponential(size=(_RESAMPLES, blocks))
-    sums = np.einsum("rk,kbc->rbc", weights, matrices / np.outer(sizes, sizes))
-    found = np.linalg.solve(sums, np.einsum("rk,kb->rb", weights, rights / sizes)[..., None])
-    spread = found[..., 0].std(axis=0) * np.sqrt(blocks / (blocks - 1.0))
-    return np.asarray(spread / sizes)
-
-
-def block_of(lengths: Sequence[int]) -> NDArray[np.intp]:
-    """(n,) block of each row: its recording, or equal parts if there are few recordings."""
-    parts = 1 if len(lengths) >= _ENOUGH else -(-_BLOCKS // len(lengths))
-    owners, first = [], 0
-    for n in lengths:
-        own = min(parts, n)
-        owners.append(first + np.arange(n) * own // max(n, 1))
-        first += own
-    return np.concatenate(owners).astype(np.intp)

@@ -16,9 +16,10 @@ import numpy as np
 from scipy import stats
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.estimation.covariance import bootstrap_deviations
 from pytest_twin.estimation.score import effective_samples
 from pytest_twin.formats.record_fields import Z95
-from pytest_twin.identification.effort.blocks import bootstrap_deviations, normal_equations
+from pytest_twin.identification.effort.blocks import normal_equations
 from pytest_twin.identification.effort.filtering import Filter, low_passed, resample_uniformly
 from pytest_twin.identification.effort.least_squares import (
     LinearProblem,

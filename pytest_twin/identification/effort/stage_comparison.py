@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.estimation.paired_test import compare_paired
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.essential_parameters import SIGNIFICANT, EssentialParameters
 from pytest_twin.identification.effort.groups import EXCLUDES
@@ -18,7 +19,6 @@ from pytest_twin.identification.effort.least_squares import (
     dry_levels,
     solve,
 )
-from pytest_twin.identification.paired_test import compare_paired
 from pytest_twin.identification.regressor import BaseParameters
 from pytest_twin.identification.stages import HeldOut, Stage, StageName, judge_stage, shares
 

@@ -10,13 +10,13 @@ The public surface, in the order of use::
 ``base.expressions`` are sums in the literature's symbols, ``base.words`` the same with joint names.
 """
 
+from pytest_twin.estimation.covariance import Prediction, predicted_covariance
 from pytest_twin.identification.regressor.base_parameters import (
     BaseParameters,
     base_of,
     structural_base,
 )
 from pytest_twin.identification.regressor.columns import Column, SharedMotor
-from pytest_twin.identification.regressor.covariance import Prediction, predicted_covariance
 from pytest_twin.identification.regressor.regressor import Regressor
 
 __all__ = [

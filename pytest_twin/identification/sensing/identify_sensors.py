@@ -13,9 +13,9 @@ from scipy.linalg import block_diag
 
 from pytest_twin import __version__
 from pytest_twin.errors import RecordingError
+from pytest_twin.estimation.roles import split_by_role
 from pytest_twin.formats.sensor_record import CAMERA, IMU, JOINT_TORQUE
 from pytest_twin.identification.records import verdict_of
-from pytest_twin.identification.roles import ONE_HELD_OUT_OF
 from pytest_twin.identification.sensing.camera_frames import CameraTrial
 from pytest_twin.identification.sensing.estimate import (
     SensorEstimate,
@@ -32,7 +32,7 @@ from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization
 from pytest_twin.sensors.imu import noise_of
 from pytest_twin.time_limit import skips
-from pytest_twin.trial.roles import FINAL, HELD_OUT, refuse_final
+from pytest_twin.trial.roles import FINAL, refuse_final
 
 _Trial = SensorTrial | CameraTrial
 _STILL = 0.005
@@ -176,21 +176,9 @@ def _by_role(
     for one in (*fit, *tested):
         if one.role == FINAL:
             refuse_final({"role": one.role}, one.path, "an identification")
-    if not tested:
-        tested = [one for one in fit if one.role == HELD_OUT]
-        if not tested and len(fit) > 1:
-            tested = fit[-max(1, len(fit) // ONE_HELD_OUT_OF) :]
-            names = ", ".join(one.path.name for one in tested)
-            notes.append(f"held out (chosen automatically): {names}; choose with --held-out")
-        fit = [one for one in fit if all(one is not other for other in tested)]
-    if not fit:
-        raise RecordingError(
-            "no recording remains to fit", path=next(iter(held_out), None),
-            expected="at least one RECORDING that is not under --held-out",
-        )  # fmt: skip
-    if not tested:
-        notes.append("nothing is held out: no result can be accepted; record once more")
-    return fit, tested
+    return split_by_role(
+        fit, tested, lambda one: one.role, lambda one: one.path, notes, is_named=bool(held_out)
+    )
 
 
 def _total(errors: np.ndarray, found: SensorEstimate) -> float:

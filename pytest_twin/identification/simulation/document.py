@@ -11,9 +11,10 @@ from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
+from pytest_twin.estimation.covariance import correlated_pairs
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.motions import undetermined_by_command
-from pytest_twin.identification.records import correlated_pairs, verdict_of
+from pytest_twin.identification.records import verdict_of
 from pytest_twin.identification.simulation.command_mistakes import command_mistakes
 from pytest_twin.identification.simulation.identify_by_simulation import SimulationResult
 from pytest_twin.identification.simulation.passive_joints import impossible

@@ -12,7 +12,7 @@ from pytest_twin.diagnosis.physical_totals import without_negative_totals
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel, finite_differences, fit
-from pytest_twin.identification.paired_test import compare_paired
+from pytest_twin.estimation.paired_test import compare_paired
 from pytest_twin.identification.simulation.passive_joints import (
     LargestBackEmf,
     has_excessive_back_emf,
