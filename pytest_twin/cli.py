@@ -5,40 +5,18 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 from pytest_twin import __version__
 from pytest_twin.commands import json_output, terminal
 from pytest_twin.commands.help import UNUSABLE_INPUT, Parser, did_you_mean, epilog, options_of
 from pytest_twin.commands.model_files import declared_inputs
+from pytest_twin.commands.table import COMMANDS, GROUPS
 from pytest_twin.errors import TwinError, of_system
 from pytest_twin.formats.declared_inputs import declaring
 from pytest_twin.interrupts import sigterm_as_interrupt
 from pytest_twin.systems import unsupported_system, unusable_mujoco
 
-GROUPS: Mapping[str, tuple[str, ...]] = {
-    "asset and twin": ("intake", "audit", "audit-changes", "realize", "init"),
-    "gate and releases": ("verify", "stamp", "fresh", "rollback"),
-    "recordings and diagnosis": (
-        "show",
-        "check-dataset",
-        "convert",
-        "replay",
-        "diagnose",
-        "effects",
-    ),
-    "from calibration to training and adaptation": (
-        "calibrate",
-        "excite",
-        "identify",
-        "budget",
-        "randomize",
-        "shadow",
-    ),
-    "shell": ("completion",),
-}
-"""Title on the first page of the help -> commands, in the order of use."""
-COMMANDS: tuple[str, ...] = tuple(name for names in GROUPS.values() for name in names)
 BROKEN_PIPE = 141
 """Exit status after SIGPIPE: 128 + 13."""
 INTERRUPTED = 130
@@ -46,8 +24,8 @@ INTERRUPTED = 130
 _PROGRAM = "pytest-twin"
 
 
-def parser(commands: Sequence[str] = COMMANDS) -> Parser:
-    """Argument parser with a subparser for each of the named commands."""
+def parser(commands: Collection[str] = COMMANDS) -> Parser:
+    """Argument parser with the options of the named commands; the others are listed in the help."""
     main_parser = Parser(
         prog=_PROGRAM,
         description="Test a robot's digital twin, sign what passes, and name the physics that it "
@@ -60,12 +38,15 @@ def parser(commands: Sequence[str] = COMMANDS) -> Parser:
     subparsers = main_parser.add_subparsers(
         title="commands", dest="command", metavar="COMMAND", required=True
     )
-    for name in commands:
+    for name, does in COMMANDS.items():
+        if name not in commands:
+            subparsers.add_parser(name, help=does)
+            continue
         module = importlib.import_module(module_of(name))
         command = subparsers.add_parser(
             name,
-            help=module.HELP,
-            description=f"{module.HELP[0].upper()}{module.HELP[1:]}.",
+            help=does,
+            description=f"{does[0].upper()}{does[1:]}.",
             epilog=epilog(module.EXAMPLES, module.EXIT_STATUS),
         )
         module.add_arguments(command)
@@ -128,8 +109,7 @@ def _parse(words: list[str]) -> argparse.Namespace:
             f"(commands: {', '.join(COMMANDS)})"
         )
     # Only the module of the named command is imported: importing all takes seconds.
-    needed = words[:1] if first in COMMANDS else () if first == "--version" else COMMANDS
-    args, unknown = parser(needed).parse_known_args(words)
+    args, unknown = parser(words[:1] if first in COMMANDS else ()).parse_known_args(words)
     if unknown:
         word = unknown[0]
         args.parser.error(

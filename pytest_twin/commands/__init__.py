@@ -1,1 +1,1 @@
-"""Commands of the CLI. Each module has ``HELP``, ``add_arguments(parser)`` and ``run(args)``."""
+"""Commands of the CLI, listed in ``table``. Each module has ``add_arguments`` and ``run``."""

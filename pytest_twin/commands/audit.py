@@ -12,10 +12,6 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats.expansions import EXPANDED, SUFFIX
 from pytest_twin.report.audit import table
 
-HELP = (
-    "check a robot's URDF, MJCF or USD file, or an SRDF against its URDF, and list faults, "
-    "doubtful values and unknown properties"
-)
 EXAMPLES = (
     "pytest-twin audit arm.urdf",
     "pytest-twin audit arm.srdf --urdf arm.urdf",

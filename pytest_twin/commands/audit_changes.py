@@ -18,7 +18,6 @@ from pytest_twin.report.ci import Problem, annotation, junit, sarif
 from pytest_twin.report.text import printable
 from pytest_twin.words import counted
 
-HELP = "audit the robots of a git checkout that a change affects, without findings accepted earlier"
 EXAMPLES = (
     "pytest-twin audit-changes --since origin/main --sarif audit.sarif --junit audit.xml",
     "pytest-twin audit-changes meshes/wrist.stl urdf/arm.urdf",

@@ -17,7 +17,6 @@ from pytest_twin.formats import atomic
 from pytest_twin.report import budget
 from pytest_twin.report.text import printable
 
-HELP = "write the error budget of a twin: how far each measured uncertainty moves the task's frame"
 EXAMPLES = (
     "pytest-twin budget twin.yaml --out budget/",
     "pytest-twin budget cell/ --out cell/budget/ --json - | jq .total",

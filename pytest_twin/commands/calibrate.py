@@ -18,7 +18,6 @@ from pytest_twin.interrupts import StopRequest
 from pytest_twin.report import calibration
 from pytest_twin.words import counted
 
-HELP = "estimate joint zeros, link geometry and the frames around a robot from observations"
 EXAMPLES = (
     "pytest-twin calibrate calibration.yaml --out calibration/",
     "pytest-twin calibrate cell/hand_eye.yaml --out cell/hand_eye/ --json -",

@@ -16,10 +16,6 @@ from pytest_twin.loaded_model import find_model
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.dataset import render, text
 
-HELP = (
-    "check a LeRobot data set: units, leader against follower, clock, lost frames, limits, drift "
-    "and moved cameras"
-)
 EXAMPLES = (
     "pytest-twin check-dataset datasets/pick",
     "pytest-twin check-dataset datasets/pick --motor-calibration follower.json --robot so101.urdf",

@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import sys
 
-HELP = "print a script that completes pytest-twin's commands and options in your shell"
 EXAMPLES = (
     'eval "$(pytest-twin completion bash)"                # in ~/.bashrc',
     "pytest-twin completion zsh > ~/.zfunc/_pytest-twin    # a folder of zsh's fpath",

@@ -32,7 +32,6 @@ from pytest_twin.recording_options import COMMAND_MODES, RecordingOptions
 from pytest_twin.report.text import printable
 from pytest_twin.trial.stream_checks import doubts
 
-HELP = "write recordings of any kind as MCAP files with joint states and joint commands"
 EXAMPLES = (
     "pytest-twin convert bag/ --out moves.mcap",
     "pytest-twin convert log.csv --out log.mcap --columns t=time,q1=elbow.position",

@@ -27,7 +27,6 @@ from pytest_twin.processor_time import call_began
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
 
-HELP = "name the physics that a model lacks, fit it, and measure the gain on held-out recordings"
 EXAMPLES = (
     "pytest-twin diagnose twin.yaml moves.mcap sines.mcap --held-out check.mcap --out diagnosis",
     "pytest-twin replay diagnosis check.mcap --out predicted.mcap",
@@ -305,4 +304,4 @@ def diagnose_files(
     return {**summary, "words": [*chosen, *stale, *summary["words"]]}
 
 
-__all__ = ["HELP", "add_arguments", "diagnose_files", "run"]
+__all__ = ["add_arguments", "diagnose_files", "run"]

@@ -12,7 +12,6 @@ from pytest_twin.effects import catalogue
 from pytest_twin.effects.card import as_json, cards, description
 from pytest_twin.errors import TwinError
 
-HELP = "list the physical effects that a diagnosis can name, with laws, parameters and sources"
 EXAMPLES = ("pytest-twin effects backlash", "pytest-twin effects --json - | jq 'keys'")
 EXIT_STATUS = {0: "the effects are printed"}
 

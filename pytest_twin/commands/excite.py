@@ -18,7 +18,6 @@ from pytest_twin.report import excitation
 from pytest_twin.report.text import printable
 from pytest_twin.words import counted, list_names
 
-HELP = "design motions for identification within approved limits, and predict their results"
 EXAMPLES = (
     "pytest-twin excite twin.yaml --out excitation/",
     "pytest-twin excite cell/twin.yaml --out excitation/ --seed 7 --json -",

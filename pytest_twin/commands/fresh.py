@@ -21,7 +21,6 @@ from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, load_twin
 from pytest_twin.words import counted
 
-HELP = "list changes of the twin since a data set was stamped, and whether they affect its data"
 EXAMPLES = (
     "pytest-twin fresh datasets/pick",
     "pytest-twin fresh policy.onnx --twin cell/ --json -",

@@ -24,7 +24,6 @@ from pytest_twin.loaded_model import find_model
 from pytest_twin.report import identification
 from pytest_twin.report.text import printable
 
-HELP = "identify masses, inertia, friction and drives in stages, each tested on held-out motion"
 EXAMPLES = (
     "pytest-twin identify twin.yaml fourier.mcap --held-out check.mcap --out identified",
     "pytest-twin identify cube.xml tosses.npz --out cube_contact",

@@ -36,10 +36,6 @@ from pytest_twin.setup.recordings import ROOT, TaskTolerance, parse_tolerance, p
 from pytest_twin.twin import FILE_NAME, MODEL_SUFFIXES
 from pytest_twin.words import counted
 
-HELP = (
-    "set up a twin for a robot's URDF or MJCF file: twin.yaml and recorded golden specs; or "
-    "propose the goldens of a twin anew, after its drives or its model changed"
-)
 EXAMPLES = (
     "pytest-twin init arm.urdf",
     "pytest-twin init arm_twin/twin.yaml",

@@ -20,7 +20,6 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.words import counted
 
-HELP = "copy a supplier's archive or folder unchanged, with a digest of every file"
 EXAMPLES = (
     "pytest-twin intake arm_v3.zip --out arm --supplier 'Arms Ltd'",
     "pytest-twin intake arm_description/urdf/arm.urdf.xacro --out arm",

@@ -23,7 +23,6 @@ from pytest_twin.ranges.files import write_files
 from pytest_twin.report import ranges
 from pytest_twin.report.text import printable
 
-HELP = "write randomization ranges of a twin from its records, and check them on final recordings"
 EXAMPLES = (
     "pytest-twin randomize twin.yaml --out ranges/",
     "pytest-twin randomize cell/ --final final_1.mcap final_2.mcap --out ranges/",

@@ -18,7 +18,6 @@ from pytest_twin.formats.expansions import EXPANDED
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.words import counted
 
-HELP = "convert a URDF to a normalized URDF, MJCF and USD, and list what each conversion loses"
 EXAMPLES = (
     "pytest-twin realize arm.urdf --out arm",
     "pytest-twin realize arm.urdf --out arm --accept inertia-repair:wrist",

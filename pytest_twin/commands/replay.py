@@ -33,7 +33,6 @@ from pytest_twin.trial.command_field import refuse_unfit_modes
 from pytest_twin.trial.marks import describe_marks, marks_to_json
 from pytest_twin.trial.stream_checks import note_on_start_in_motion
 
-HELP = "simulate a model under a recording's commands, open loop, and write the predicted states"
 EXAMPLES = (
     "pytest-twin replay twin.yaml moves.mcap --out predicted.mcap",
     "pytest-twin replay diagnosis/ moves.mcap --out predicted.mcap --topics state=/arm/states",

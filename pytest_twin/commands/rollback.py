@@ -14,7 +14,6 @@ from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, PENDING_ROLLBACK
 from pytest_twin.words import counted
 
-HELP = "restore the files of the last signed release of a twin"
 EXAMPLES = (
     "pytest-twin rollback --dry-run",
     "pytest-twin rollback --release releases/0006 --json -",

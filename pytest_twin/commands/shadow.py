@@ -23,7 +23,6 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, Twin, load_twin
 
-HELP = "compare a candidate with a release on recordings: metrics, safety, injected faults"
 EXAMPLES = (
     "pytest-twin shadow releases/0007 candidate/ day2.mcap day3.mcap",
     "pytest-twin shadow releases/0007 . recordings/*.mcap --promote --json shadow.json",

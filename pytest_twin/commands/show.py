@@ -24,7 +24,6 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
 from pytest_twin.twin import model_suffixes
 
-HELP = "summarize a recording: topics, joints, rates, gaps, and missing data"
 EXAMPLES = (
     "pytest-twin show moves.mcap",
     "pytest-twin show twin.yaml moves.mcap",

@@ -13,7 +13,6 @@ from pytest_twin.release.stamp import PARTS, VARIANTS
 from pytest_twin.report.text import printable
 from pytest_twin.words import counted
 
-HELP = "write the IDs of a release, with digests and signature, into a data set or policy"
 EXAMPLES = (
     "pytest-twin stamp datasets/pick --release releases/0007",
     "pytest-twin stamp policy.onnx --release . --json -",

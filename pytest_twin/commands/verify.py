@@ -25,7 +25,6 @@ from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, load_twin
 from pytest_twin.words import counted, list_names
 
-HELP = "check signature, all digests and age of a release, or the stamp of a data set"
 EXAMPLES = (
     "pytest-twin verify releases/0001",
     "pytest-twin verify datasets/pick",
