@@ -37,7 +37,6 @@ if TYPE_CHECKING:
         verify,
     )
 
-__version__ = "0.1.0"
 __all__ = [
     "LoadedModel",
     "TwinError",
@@ -54,6 +53,10 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     # PEP 562: the simulator is loaded by the first of these, not by `import pytest_twin`.
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("pytest-twin")
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from pytest_twin import library

@@ -75,6 +75,9 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
             "compare a candidate with a release on recordings: metrics, safety, injected faults"
         ),
     },
+    "first steps": {
+        "demo": "copy a demo robot with its tests, and a failing test with its diagnosis",
+    },
     "shell": {
         "completion": (
             "print a script that completes pytest-twin's commands and options in your shell"
