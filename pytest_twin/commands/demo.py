@@ -12,7 +12,7 @@ from pytest_twin.errors import PathError, of_system
 from pytest_twin.formats import atomic
 from pytest_twin.formats.temporary import temporary_folder
 
-EXAMPLES = ("pytest-twin demo demo && pytest --twin-release demo/arm",)
+EXAMPLES = ("pytest-twin demo demo",)
 EXIT_STATUS = {0: "the files are copied"}
 JSON = False
 _PACKAGE = Path(pytest_twin.__file__).parent

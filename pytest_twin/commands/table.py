@@ -11,6 +11,10 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
             "check a robot's URDF, MJCF or USD file, or an SRDF against its URDF, and "
             "list faults, doubtful values and unknown properties"
         ),
+        "audit-changes": (
+            "audit the robots of a git checkout that a change affects, without findings accepted "
+            "earlier"
+        ),
         "realize": (
             "convert a URDF to a normalized URDF, MJCF and USD, and list what each conversion loses"
         ),
