@@ -118,6 +118,12 @@ def run(args: argparse.Namespace) -> int:
         "seconds": SECONDS if args.seconds is None else args.seconds,
     }
     if args.fleet is not None:
+        if args.before:
+            raise TwinError(
+                "--before and --fleet cannot be combined",
+                where="--before",
+                expected="MODEL RECORDING... --before RECORDING... for one robot",
+            )
         if args.model is not None:
             raise TwinError(
                 "MODEL and --fleet cannot be combined",

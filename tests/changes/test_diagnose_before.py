@@ -100,6 +100,17 @@ def test_a_recording_that_is_both_before_and_new_is_refused(
     assert "the same recording is given with --before, as old2.csv" in capsys.readouterr().err
 
 
+def test_a_fleet_with_earlier_recordings_is_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = main([
+        "diagnose", "--fleet", str(tmp_path / "fleet.yaml"), "--before", str(robot / "old0.csv"),
+        "--out", str(tmp_path / "out"),
+    ])  # fmt: skip
+    assert status == 2
+    assert "--before and --fleet cannot be combined" in capsys.readouterr().err
+
+
 def test_efforts_in_another_unit_are_refused(
     robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
