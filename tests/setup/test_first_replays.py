@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typed
 import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -19,7 +18,8 @@ from rosbags.typesys import Stores, get_typestore
 from pytest_twin.errors import SpecError
 from pytest_twin.setup.recordings import TaskTolerance, parse_tolerance, place_recordings
 
-BIN = Path(sys.executable).parent
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ROBOT = """\
 <mujoco><worldbody><body name="link"><joint name="elbow" axis="0 1 0" range="-90 90" damping=".1"/>
@@ -29,11 +29,7 @@ ROBOT = """\
 
 
 def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    state = {"XDG_CONFIG_HOME": str(cwd.parent / "config"), "XDG_STATE_HOME": str(cwd.parent / "s")}
-    return subprocess.run(
-        [str(BIN / command[0]), *command[1:]],
-        cwd=cwd, env={**os.environ, **state}, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    return typed.run(*command, cwd=cwd, state=cwd.parent)
 
 
 def write_recording(path: Path) -> None:

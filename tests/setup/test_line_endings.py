@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+import typed
 
-BIN = Path(sys.executable).parent
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 ROBOT = """\
 <mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0" range="-90 90"/>
 <geom type="capsule" fromto="0 0 0 0 0 .3" size=".02"/></body></worldbody>
@@ -19,11 +19,7 @@ TEXT = {".yaml", ".csv", ".xml", ".json", ".html", ".pub", ".gitignore", ".gitat
 
 
 def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    state = {"XDG_CONFIG_HOME": str(cwd.parent / "config"), "XDG_STATE_HOME": str(cwd.parent / "s")}
-    return subprocess.run(
-        [str(BIN / command[0]), *command[1:]],
-        cwd=cwd, env={**os.environ, **state}, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    return typed.run(*command, cwd=cwd, state=cwd.parent)
 
 
 @pytest.fixture(scope="module")

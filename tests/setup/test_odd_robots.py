@@ -12,9 +12,12 @@ import time
 from pathlib import Path
 
 import pytest
+import typed
 import yaml
 
 BIN = Path(sys.executable).parent
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 NAMELESS = """\
 <mujoco><worldbody><body><joint type="slide" axis="1 0 0"/><geom size=".1" mass="95"/></body>
 </worldbody></mujoco>
@@ -55,10 +58,7 @@ def environment(tmp_path: Path) -> dict[str, str]:
 
 
 def run(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(BIN / command[0]), *command[1:]],
-        cwd=cwd, env=environment(cwd.parent), capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    return typed.run(*command, cwd=cwd, state=cwd.parent)
 
 
 @pytest.mark.parametrize("text", [NAMELESS, FREE, UMLAUTS], ids=["nameless", "free", "umlauts"])
@@ -79,7 +79,8 @@ def test_trials_of_proposals_leave_no_log_of_the_simulator(tmp_path: Path) -> No
     folder = tmp_path / "twin"
     folder.mkdir()
     (folder / "robot.urdf").write_text(LIGHT)
-    assert run("pytest-twin", "init", "robot.urdf", cwd=folder).returncode == 0
+    made = typed.run_apart("pytest-twin", "init", "robot.urdf", cwd=folder, state=tmp_path)
+    assert made.returncode == 0
     assert not list(folder.glob("MUJOCO_LOG*"))
 
 
