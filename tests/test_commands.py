@@ -190,7 +190,7 @@ JSON_COMMANDS = {
 """What each command is called with, and a field of its result."""
 TESTED_ELSEWHERE = (
     "diagnose", "calibrate", "excite", "identify", "budget", "randomize", "verify",
-    "stamp", "fresh", "shadow", "rollback", "completion",
+    "stamp", "fresh", "shadow", "rollback", "completion", "demo", "check-dataset", "audit-changes",
 )  # fmt: skip
 """Commands with tests of their JSON beside the others of the command."""
 

@@ -10,7 +10,7 @@ from pytest_twin.cli import COMMANDS, main, parser
 from pytest_twin.formats.declared_inputs import declared_inputs
 
 # Commands without a model; those that read data have --root alone.
-NO_MODEL = {"completion", "effects", "intake", "rollback", "verify"}
+NO_MODEL = {"completion", "demo", "effects", "intake", "rollback", "verify"}
 DATA_ALONE = {"convert", "stamp"}
 
 
