@@ -127,6 +127,10 @@ class Background:
         mean = scipy.linalg.solve(precision, rest, assume_a="pos")
         return Background(mean, precision, rest, self.weight)
 
+    def covariance(self) -> FloatArray:
+        """(p, p) covariance of the amplitudes."""
+        return np.asarray(np.linalg.inv(self.precision), dtype=np.float64)
+
 
 def background_of(rows: Rows, sessions: Sequence[Sequence[int]]) -> Background:
     """Estimate the amplitudes of all laws from the recordings of several sessions."""
@@ -231,7 +235,7 @@ class Remainder:
 
     def power_after(self, columns: NDArray[np.intp], change: FloatArray) -> FloatArray:
         """(joints,) sum of squared residuals after a change of these amplitudes."""
-        after = self.power - 2.0 * self.vector[:, columns] @ change
+        after: FloatArray = self.power - 2.0 * self.vector[:, columns] @ change
         after = after + np.einsum("a,jab,b->j", change, self._own(columns), change)
         return np.maximum(after, self.least * self.samples)
 

@@ -53,7 +53,9 @@ def compare_files(
     progress(0.1)
     compared = read_compared(
         loaded.realization,
-        *([Path(p) for p in paths] for paths in (asked.before, asked.new, asked.held_out)),
+        [Path(p) for p in asked.before],
+        [Path(p) for p in asked.new],
+        [Path(p) for p in asked.held_out],
         {**loaded.topics, **asked.topics},
         options.over(loaded.options),
     )

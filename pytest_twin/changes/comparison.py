@@ -133,8 +133,7 @@ def compare(
     # Means of several sessions drift less.
     share = widening**2 * (1.0 / len(later) + 1.0 / len(sessions))
     remainder = Remainder.of(rows, [i for session in later for i in session], background)
-    covariance = np.linalg.inv(background.precision)
-    unknown = remainder.seeming_covariances(shapes, covariance)
+    unknown = remainder.seeming_covariances(shapes, background.covariance())
     drift = tuple(share * own + more for own, more in zip(null.drift, unknown, strict=True))
     first = _scores(remainder, shapes, drift)
     score, threshold = float(first.max()), widening * max(null.threshold(level), 0.0)
@@ -162,7 +161,7 @@ def _null(
         others = background.without(rows, session)
         remainder = Remainder.of(rows, session, others)
         left_out.append(remainder)
-        unknown.append(remainder.seeming_covariances(shapes, np.linalg.inv(others.precision)))
+        unknown.append(remainder.seeming_covariances(shapes, others.covariance()))
     squares = []
     for remainder in left_out:
         seeming = [remainder.fit(shape.indices)[0] for shape in shapes]

@@ -17,7 +17,7 @@ _UNUSABLE = "unusable input; one line on standard error states file, place and r
 class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
     """Keeps line breaks, and lists subcommands in groups."""
 
-    def __init__(self, prog: str, *, groups: Mapping[str, Sequence[str]]) -> None:
+    def __init__(self, prog: str, *, groups: Mapping[str, Iterable[str]]) -> None:
         super().__init__(prog, max_help_position=16 if groups else 24)
         self._groups = groups
 
@@ -37,7 +37,7 @@ class Parser(argparse.ArgumentParser):
     """An argument parser that keeps line breaks in its help and answers errors in one line."""
 
     def __init__(
-        self, *args: Any, groups: Mapping[str, Sequence[str]] | None = None, **options: Any
+        self, *args: Any, groups: Mapping[str, Iterable[str]] | None = None, **options: Any
     ) -> None:
         """Create the parser.
 

@@ -258,7 +258,7 @@ class EffortLaws:
 
 def _signature(column: FloatArray) -> bytes:
     """Key of a column; equal for equal columns."""
-    digits = np.round(column / np.abs(column).max(), _DIGITS) + 0.0
+    digits: FloatArray = np.round(column / np.abs(column).max(), _DIGITS) + 0.0
     return digits.tobytes()
 
 
@@ -366,9 +366,12 @@ class _Along:
         if law.overrides("unsense"):
             moved = self._moved(law, values)
             for j in joints:
-                effort = sum(
-                    slope[:, :, j] * x[:, j, None]
-                    for slope, x in zip(self._slopes, moved, strict=True)
+                effort = np.sum(
+                    [
+                        slope[:, :, j] * x[:, j, None]
+                        for slope, x in zip(self._slopes, moved, strict=True)
+                    ],
+                    axis=0,
                 )
                 for at in joints:
                     add(j, at, effort[:, at])
@@ -407,11 +410,13 @@ class _Along:
     def _changed_links(self, fields: ModelFields) -> FloatArray:
         """(links, 10) change of the inertial parameters of links."""
         model = self._model
-        mass, center, moments, quat = inertial = tuple(
+        mass, center, moments, quat = (
             np.array(getattr(model, name), dtype=np.float64)[None]
             for name in ("body_mass", "body_ipos", "body_inertia", "body_iquat")
         )
-        change_links(self._layout, fields, inertial, np.array(model.jnt_pos)[None])
+        change_links(
+            self._layout, fields, (mass, center, moments, quat), np.array(model.jnt_pos)[None]
+        )
         bodies = {}
         for body in np.unique(self._layout.body_index):
             axes = rotation_of(quat[0, body])
