@@ -131,7 +131,11 @@ def pytest_configure_node(node: Any) -> None:
 def _refusal(config: pytest.Config) -> str | None:
     """Why this machine cannot run goldens with the given options; None where it can."""
     if _REFUSAL not in config.stash:
-        problem = unsupported_system() or unusable_mujoco()
+        from pytest_twin.realization.import_path import installed_modules_only
+
+        # A file of the robot may be called `mujoco.py`.
+        with installed_modules_only((config.rootpath,)):
+            problem = unsupported_system() or unusable_mujoco()
         if problem is None and config.stash[_OPTIONS].confine:
             from pytest_twin.realization.confinement import why_not_confined
 

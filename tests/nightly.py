@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
-from _pytest.mark import ParameterSet
 
 
-def samples(count: int, *, always: tuple[int, ...]) -> list[ParameterSet]:
+def samples(count: int, *, always: tuple[int, ...]) -> list[Any]:
     """Values of one parameter: the seeds of a sample, and nightly all ``count`` of the proof."""
     return [
         pytest.param(always, id="sample"),

@@ -92,7 +92,7 @@ def read_compared(
                 "the base of the robot moves; --before compares robots with a fixed base",
                 path=one.path,
                 where="pose of the base",
-                expected="recordings of a robot that stands on the ground or in a rig",
+                expected="recordings of a robot with its base fixed to the ground or to a rig",
             )
     known = {_content(one): one for one in groups[0]}
     for one in (*groups[1], *groups[2]):

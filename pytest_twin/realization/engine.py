@@ -23,12 +23,12 @@ _HAS_BATCHES = importlib.util.find_spec("mujoco.batch") is not None
 
 if _HAS_BATCHES:
     from mujoco.batch import Batch as Batch
-    from mujoco.batch import SimulationError
+    from mujoco.batch import SimulationError as RowError
 else:
+    from pytest_twin.realization.row_loop import RowError
     from pytest_twin.realization.row_loop import RowLoop as Batch
-    from pytest_twin.realization.row_loop import SimulationError
 
-BatchError: Any = SimulationError
+BatchError: Any = RowError
 """Error of rows in which MuJoCo stopped; ``ids`` are these rows."""
 
 
@@ -49,6 +49,7 @@ def require_batches(task: str) -> None:
     if not _HAS_BATCHES:
         raise EngineVersionError(
             f"{task} needs MuJoCo 3.17 or newer",
+            where="the installed packages",
             value=f"MuJoCo {mujoco.__version__}",
             expected="pip install 'mujoco>=3.17', in an environment of its own where another "
             "package needs the older version",

@@ -18,7 +18,7 @@ from pytest_twin.arrays import FloatArray
 _CTRL = int(mujoco.mjtState.mjSTATE_CTRL)
 
 
-class SimulationError(RuntimeError):
+class RowError(RuntimeError):
     """MuJoCo raised in rows ``ids`` of a call; the other rows were stepped."""
 
     def __init__(self, ids: Sequence[int], message: str) -> None:
@@ -74,7 +74,7 @@ class RowLoop:
         A row with a new warning is not stepped further: its records repeat the last ones.
 
         Raises:
-            SimulationError: MuJoCo raised in some rows.
+            RowError: MuJoCo raised in some rows.
         """
         for name, values in self._initial.items():
             for data, value in zip(self._data, values, strict=True):
@@ -96,7 +96,7 @@ class RowLoop:
                 self._errors[row] = str(error)
                 failed.append(row)
         if failed:
-            raise SimulationError(failed, self._errors[failed[0]])
+            raise RowError(failed, self._errors[failed[0]])
         return out
 
     def _empty(self, item: str | int, rows: int, steps: int) -> FloatArray:

@@ -11,7 +11,6 @@ from pathlib import Path
 from types import CodeType
 
 import pytest
-from _pytest.assertion import rewrite
 
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.paths import read_bytes
@@ -23,6 +22,7 @@ _HEADER_BYTES = 16
 _HASH_BASED, _CHECK_SOURCE = 0b01, 0b10
 _SUFFIXES = (".pyc", ".pyo")
 _OF_PYTEST = "-pytest-"
+_PYTEST_TAG = f"{sys.implementation.cache_tag}{_OF_PYTEST}{pytest.__version__}"
 _OF_A_PYTHON = re.compile(r"(cpython|pypy|graalpy)-?\d")
 
 
@@ -45,9 +45,7 @@ def is_of_its_source(cache: Path, config: pytest.Config) -> bool:
     if cache.suffix not in _SUFFIXES or not _OF_A_PYTHON.match(tag):
         return False
     is_of_pytest = _OF_PYTEST in tag
-    if not tag.startswith(sys.implementation.cache_tag) or (
-        is_of_pytest and tag != rewrite.PYTEST_TAG
-    ):
+    if not tag.startswith(sys.implementation.cache_tag) or (is_of_pytest and tag != _PYTEST_TAG):
         return True
     source = cache.parent.parent / f"{cache.name.partition('.')[0]}.py"
     try:
@@ -61,14 +59,22 @@ def is_of_its_source(cache: Path, config: pytest.Config) -> bool:
         level = int(tag.rpartition(".opt-")[2]) if ".opt-" in tag else 0
         plain = compile(text, str(source), "exec", dont_inherit=True, optimize=level)
         return bool(code == plain)
-    except (TwinError, OSError, ValueError, EOFError, TypeError, SyntaxError):
+    except (TwinError, OSError, ValueError, EOFError, TypeError, SyntaxError, ImportError):
         return False
 
 
 def _rewritten(text: bytes, source: Path, config: pytest.Config) -> CodeType:
-    """The code that pytest makes of a source, whose assertions it rewrites."""
+    """The code that pytest makes of a source, whose assertions it rewrites.
+
+    No public function of pytest returns it.
+
+    Raises:
+        ImportError: this version of pytest rewrites elsewhere.
+    """
+    from _pytest.assertion.rewrite import rewrite_asserts
+
     tree = ast.parse(text, filename=str(source))
-    rewrite.rewrite_asserts(tree, text, str(source), config)
+    rewrite_asserts(tree, text, str(source), config)
     code: CodeType = compile(tree, str(source), "exec", dont_inherit=True)
     return code
 

@@ -12,7 +12,7 @@ import pytest
 from pytest_twin.errors import EngineVersionError, ModelError
 from pytest_twin.realization import engine, load, simulate
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
-from pytest_twin.realization.row_loop import RowLoop, SimulationError
+from pytest_twin.realization.row_loop import RowError, RowLoop
 
 ARM = """\
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
@@ -97,7 +97,7 @@ def test_an_error_of_mujoco_in_one_row_leaves_the_others(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(mujoco, "mj_step", step_or_fail)
     out = {"qpos": np.zeros((2, 5, 2))}
-    with pytest.raises(SimulationError) as caught:
+    with pytest.raises(RowError) as caught:
         loop.rollout(5, np.ones((2, 5, 2)), record=("qpos",), out=out)
     assert caught.value.ids == [0]
     assert "out of memory" in loop.error(0)
@@ -124,7 +124,7 @@ def test_a_mujoco_without_batches_is_named_with_the_way_out(
     monkeypatch.setattr(engine, "_HAS_BATCHES", False)
     with pytest.raises(
         EngineVersionError,
-        match=r"^a diagnosis needs MuJoCo 3\.17 or newer \(got 'MuJoCo "
+        match=r"^the installed packages: a diagnosis needs MuJoCo 3\.17 or newer \(got 'MuJoCo "
         rf"{re.escape(mujoco.__version__)}'; expected pip install 'mujoco>=3\.17'",
     ):
         engine.require_batches("a diagnosis")
