@@ -23,6 +23,7 @@ from test_further_effects import (
 from test_further_effects import INTERVAL as OTHER_INTERVAL
 from test_identify_simulation import MODEL, NOMINAL, REAL
 
+from pytest_twin.effects import catalogue
 from pytest_twin.formats.schema import load_schema
 from pytest_twin.identification.drive_effects import changed_attributes
 from pytest_twin.identification.effort.identify_effort import identify_effort
@@ -91,6 +92,16 @@ def test_the_limit_of_a_drive_is_identified_beside_its_measured_effort(
     assert high - low < 0.1
     assert inverse["stage"] == "drive"
     assert "swing.torque_saturation" in stage_of(document, "drive")["parameters"]
+
+
+def test_no_effect_takes_up_the_errors_of_the_friction_from_effort(
+    saturated: tuple[Path, dict[str, Any]],
+) -> None:
+    """A filter of velocities and a scale of the encoder, which the plant lacks, would lower it."""
+    together = stage_of(saturated[1], "closed_loop")["parameters"]
+    effects = {name.split(".")[1] for name in together}
+    assert "torque_saturation" in effects
+    assert {catalogue()[effect].stage for effect in effects} <= {"drive", "friction"}
 
 
 def test_the_model_with_the_limit_predicts_the_held_out_motion(

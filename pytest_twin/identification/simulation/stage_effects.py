@@ -51,6 +51,7 @@ class StagePlan:
     Attributes:
         order: stages in order.
         further: stage -> effects that it adds if they reduce the held-out error.
+        last: effects that are tried after all others, while a residual remains.
         known_drives: joints that keep the model's drive.
     """
 
@@ -58,11 +59,17 @@ class StagePlan:
     further: Mapping[StageName, tuple[str, ...]] = field(
         default_factory=lambda: {stage: further_effects(stage) for stage in SIMULATED}
     )
+    last: tuple[str, ...] = field(default_factory=lambda: further_effects(_TOGETHER))
     known_drives: frozenset[str] = frozenset()
 
     @classmethod
     def after_effort(cls, known_drives: frozenset[str]) -> StagePlan:
-        """Return the plan where measured effort has determined inertia and friction."""
+        """Return the plan where measured effort has determined inertia and friction.
+
+        It has no last effects. The errors of the given inertia and friction leave a residual in the
+        motion, which an effect that the robot does not have (a warm-up, an eccentric encoder) would
+        take up, in held-out recordings too.
+        """
         return cls(
             ("drive",),
             {
@@ -73,13 +80,9 @@ class StagePlan:
                 ),
                 _TOGETHER: further_effects("friction"),
             },
-            known_drives,
+            last=(),
+            known_drives=known_drives,
         )
-
-    @property
-    def last(self) -> tuple[str, ...]:
-        """Effects that are tried after all others, while a residual remains."""
-        return further_effects(_TOGETHER)
 
     def stage_that_adds(self, effect: str) -> StageName | None:
         """Return the stage that adds a further effect; None for a basic one."""

@@ -86,7 +86,7 @@ class StagedFit:
             return
         if several and self.found.terms and self._error(self.found) > VERDICT.identifiable:
             self._fit_again(lambda stages: progress((done + stages) / steps))
-        if self._error(self.found) > VERDICT.identifiable:
+        if self.plan.last and self._error(self.found) > VERDICT.identifiable:
             _attempt("effects that no stage has", self._add_last)
 
     def _fit_stage(self, name: StageName) -> None:
