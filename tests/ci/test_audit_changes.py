@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,10 @@ from pytest_twin.formats.schema import load_schema
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "robot_description"
 SARIF = json.loads((Path(__file__).parent / "sarif-schema-2.1.0.json").read_text())
+# The commands of this environment, also where it is not activated.
+ENVIRONMENT = os.environ | {
+    "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+}
 in_process = pytest.mark.usefixtures("commands_in_process")
 
 
@@ -180,7 +185,7 @@ def run_action(folder: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
         variables = {name: expand(text) for name, text in step["env"].items()}
         run = subprocess.run(
             ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", expand(step["run"])],
-            cwd=folder, env=os.environ | variables | {"GITHUB_ACTIONS": "true"},
+            cwd=folder, env=ENVIRONMENT | variables | {"GITHUB_ACTIONS": "true"},
             capture_output=True, text=True,
         )  # fmt: skip
         if run.returncode:
@@ -210,7 +215,9 @@ def test_pre_commit_runs_the_hook_on_the_staged_robot(package: Path) -> None:
     (package / ".pre-commit-config.yaml").write_text(yaml.safe_dump(config))
     break_arm(package)
     git(package, "add", ".")
-    run = subprocess.run(["pre-commit", "run"], capture_output=True, text=True, cwd=package)
+    run = subprocess.run(
+        ["pre-commit", "run"], capture_output=True, text=True, cwd=package, env=ENVIRONMENT
+    )
     assert run.returncode == 1, run.stdout + run.stderr
     assert "urdf/arm.urdf:" in run.stdout
     assert "other.urdf" not in run.stdout
@@ -221,7 +228,7 @@ def test_the_package_of_the_example_passes_its_own_tests(tmp_path: Path) -> None
     folder = shutil.copytree(EXAMPLE, tmp_path / "robot_description")
     run = subprocess.run(
         ["python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "test"], cwd=folder,
-        capture_output=True, text=True,
+        capture_output=True, text=True, env=ENVIRONMENT,
     )  # fmt: skip
     assert run.returncode == 0, run.stdout
     assert "ament_add_pytest_test(audit test" in (folder / "CMakeLists.txt").read_text()
