@@ -22,6 +22,7 @@ from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.fit_patches import patches_of
 from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
+from pytest_twin.identification.write import ModelChanges
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS
@@ -201,9 +202,8 @@ def test_drives_are_fitted_beside_the_gains_of_servos_that_follow_their_law(
     folder = tmp_path / "out/realization"
     folder.mkdir()
     trials = closed_loop.trials_of(robot, [run], DEFAULT_TOPICS, NO_OPTIONS)
-    loop = closed_loop.close_loop(
-        robot, patches_of(robot, found), {}, [shoulder, elbow], recordings, trials, folder
-    )
+    changes = ModelChanges(patches_of(robot, found))
+    loop = closed_loop.close_loop(robot, changes, [shoulder, elbow], recordings, trials, folder)
     true, _ = GAINS["shoulder"]
     nominal = 0.7 * GAINS["elbow"][0]
     assert stiffness == pytest.approx([true, nominal], rel=0.02)
