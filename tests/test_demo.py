@@ -38,12 +38,10 @@ def test_a_demo_does_not_write_into_a_folder_that_exists(
 
 def test_the_wheel_has_the_files_where_the_command_looks_for_them() -> None:
     build = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
-    places = {
-        source: (ROOT / target).relative_to(ROOT).as_posix()
-        for source, target in build["targets"]["wheel"]["sources"].items()
-    }
+    places = build["targets"]["wheel"]["sources"]
+    packages = demo._PACKAGE.parent
     assert places == {
-        checkout.relative_to(ROOT).as_posix(): wheel.relative_to(ROOT).as_posix()
+        checkout.relative_to(packages).as_posix(): wheel.relative_to(packages).as_posix()
         for wheel, checkout in demo._SOURCES.values()
     }
     assert {f"/{source}" for source in places} <= set(build["include"])
