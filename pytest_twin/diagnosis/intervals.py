@@ -25,6 +25,8 @@ its parameters to those of the best structure, in multiples of their scales."""
 
 # Quantile of a two-sided 95 % interval.
 _LEVEL = 0.975
+_LEAST_INFLUENCE = 1e-9
+"""Size of a derivative, relative to the largest, up to which a parameter has no influence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +108,12 @@ def parameter_uncertainty(
     meat = _long_run_covariance(scores, lengths, int(np.ceil(ranges.max())))
     enlarged_covariance = inverse @ enlarged @ inverse
     sandwich = inverse @ meat @ inverse
-    deviation = np.sqrt(np.maximum(np.diag(enlarged_covariance), np.diag(sandwich)).clip(0.0))
+    variance = np.maximum(np.diag(enlarged_covariance), np.diag(sandwich)).clip(0.0)
+    # Both are zero for a parameter without influence (a limit that is not reached): no residual
+    # depends on it. The inverse has its large finite variance.
+    unseen = _without_influence(curvature)
+    variance[unseen] = np.diag(inverse)[unseen]
+    deviation = np.sqrt(variance)
     base = np.sqrt(np.diag(enlarged_covariance).clip(1e-300))
     correlation = enlarged_covariance / np.outer(base, base)
     freedom = max(float(effective.max()) - count, 2.0)
@@ -159,7 +166,7 @@ def jackknife(scores: FloatArray, information: FloatArray) -> FloatArray:
     whole = information.sum(axis=0)
     scale = np.sqrt(np.diag(whole))
     # A parameter without influence gets a large finite variance.
-    scale = np.maximum(scale, 1e-9 * (float(scale.max()) or 1.0))
+    scale = np.maximum(scale, _LEAST_INFLUENCE * (float(scale.max()) or 1.0))
     values, vectors = np.linalg.eigh(whole / np.outer(scale, scale))
     root = (vectors / np.sqrt(np.maximum(values, 1e-10))) / scale[:, None]
     moved = np.empty((count, size))
@@ -219,11 +226,17 @@ def _between_structures(hypothesis: Hypothesis, nearby: Sequence[NearbyModel]) -
     return deviation
 
 
+def _without_influence(curvature: FloatArray) -> NDArray[np.bool_]:
+    """(parameters,) whether the residual depends on none of a parameter's changes."""
+    influence: FloatArray = np.diag(curvature)
+    return np.asarray(influence <= _LEAST_INFLUENCE**2 * float(influence.max()))
+
+
 def _scaled_inverse(curvature: FloatArray) -> FloatArray:
     """Inverse, computed with a unit diagonal for good conditioning."""
     size = np.sqrt(np.diag(curvature))
     # A parameter without influence gets a large finite variance.
-    size = np.maximum(size, 1e-9 * (float(size.max()) or 1.0))
+    size = np.maximum(size, _LEAST_INFLUENCE * (float(size.max()) or 1.0))
     values, vectors = np.linalg.eigh(curvature / np.outer(size, size))
     values = np.maximum(values, 1e-10)
     inverse: FloatArray = (vectors / values) @ vectors.T / np.outer(size, size)

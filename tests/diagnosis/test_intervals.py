@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -102,6 +103,22 @@ def test_intervals_of_correlated_parameters_contain_the_truth() -> None:
     )
     assert found.correlation[0, 1] < -0.95
     assert coverage(0.8, similarity=0.995) >= 0.9
+
+
+def test_the_interval_of_a_parameter_without_influence_is_wide() -> None:
+    """A limit that the drive does not reach."""
+    seen = least_squares(np.random.default_rng(2), 0.8)
+    unreached = np.zeros((SAMPLES * SEGMENTS, 1, 1))
+    whole = replace(
+        seen,
+        hypothesis=Hypothesis((), np.append(seen.hypothesis.theta, 0.3)),
+        jacobian=np.concatenate([seen.jacobian, unreached], axis=2),
+    )
+    for recordings in (1, SEGMENTS):
+        alone = parameter_uncertainty(problem(recordings=recordings), seen).half_width
+        half = parameter_uncertainty(problem(recordings=recordings), whole).half_width
+        assert half[:2] == pytest.approx(alone, rel=0.02)
+        assert half[2] > 1e6
 
 
 def test_the_interval_includes_the_uncertainty_of_the_discretization_error() -> None:
