@@ -71,10 +71,10 @@ def try_update(
     notes = ["metrics are over windows, each predicted before it was learned from"]
     if released is not None:
         others = [row_of(released, trial) for trial in trials]
-        own = released_update or spec
-        of_release = base_parameters(own, others[0].model, read_patched_model(released))
-        shown = track(Recursion(own, of_release), others, base=released)
-        before = [w.base_rms if released_update is None else w.updated_rms for w in shown]
+        release_spec = released_update or spec
+        of_release = base_parameters(release_spec, others[0].model, read_patched_model(released))
+        release_windows = track(Recursion(release_spec, of_release), others, base=released)
+        before = [w.base_rms if released_update is None else w.updated_rms for w in release_windows]
         if not before:
             raise OutOfTime
         notes.append("the candidate's model is another one: it is compared with the release's")

@@ -61,11 +61,11 @@ def base_parameters(
         SpecError: the model lacks a joint, no effect has such a parameter, or a value is outside
             its bounds.
     """
-    found = []
+    values = []
     for name, (low, high) in spec.parameters.items():
-        place = _place(name, model)
-        value = _value(model, place, name, patched)
-        least = -1.0 if place.effect == TorqueConstant.id else -np.inf
+        target = _place(name, model)
+        value = _value(model, target, name, patched)
+        least = -1.0 if target.effect == TorqueConstant.id else -np.inf
         if not least < low <= value <= high:
             raise SpecError(
                 "the base model's value lies outside the bounds of the update",
@@ -74,8 +74,8 @@ def base_parameters(
                 expected=f"bounds around it, not {low:g} to {high:g}"
                 + (", and above -1" if low <= least else ""),
             )
-        found.append(value)
-    return np.array(found)
+        values.append(value)
+    return np.array(values)
 
 
 def predicted_positions(
@@ -139,12 +139,15 @@ def _with_laws(patched: PatchedModel, places: Sequence[_Place], values: FloatArr
     for place, value in zip(places, values.tolist(), strict=True):
         if not place.parameter:
             continue
-        own = {**_of_law(place, replace(patched, effects=tuple(effects))), place.parameter: value}
+        law_values = {
+            **_of_law(place, replace(patched, effects=tuple(effects))),
+            place.parameter: value,
+        }
         effects = [
-            one for one in effects
-            if one.is_in_mjcf or (one.effect, one.joint) != (place.effect, place.joint)
+            effect for effect in effects
+            if effect.is_in_mjcf or (effect.effect, effect.joint) != (place.effect, place.joint)
         ]  # fmt: skip
-        effects.append(AppliedEffect(place.effect, place.joint, own, is_in_mjcf=False))
+        effects.append(AppliedEffect(place.effect, place.joint, law_values, is_in_mjcf=False))
     return replace(patched, effects=tuple(effects))
 
 

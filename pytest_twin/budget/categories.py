@@ -68,7 +68,7 @@ _OF_NAME = {
     "contact_torsional_friction": "contact_and_material",
     "contact_rolling_friction": "contact_and_material",
 }
-"""Category of each name that is no effect."""
+"""Category of parameters that belong to no effect of the catalogue."""
 
 
 def category_of_record(name: str) -> str:

@@ -225,13 +225,16 @@ class Remainder:
         """
         information = np.einsum("j,jab->ab", 1.0 / self.power, self.matrix)
         spread = information @ covariance @ information
-        found = []
+        covariances = []
         for shape in shapes:
             square = np.ix_(shape.indices, shape.indices)
-            own = information[square]
-            inverse = np.linalg.inv(own + _RIDGE * np.trace(own) * np.eye(len(own)))
-            found.append(inverse @ spread[square] @ inverse)
-        return found
+            shape_information = information[square]
+            inverse = np.linalg.inv(
+                shape_information
+                + _RIDGE * np.trace(shape_information) * np.eye(len(shape_information))
+            )
+            covariances.append(inverse @ spread[square] @ inverse)
+        return covariances
 
     def power_after(self, columns: NDArray[np.intp], change: FloatArray) -> FloatArray:
         """(joints,) sum of squared residuals after a change of these amplitudes."""

@@ -187,17 +187,17 @@ def _scores(
     The gain is that of the profiled noise of each joint, and is reduced by the share of the change
     that the law's drift explains.
     """
-    found = np.empty(len(shapes))
-    for at, (shape, own_drift) in enumerate(zip(shapes, drift, strict=True)):
+    log_odds = np.empty(len(shapes))
+    for at, (shape, law_drift) in enumerate(zip(shapes, drift, strict=True)):
         columns = shape.indices
         change, information = remainder.fit(columns)
         after = remainder.power_after(columns, change)
         gain = 0.5 * _SAMPLES * float(np.log(remainder.power / after).sum())
         covariance = np.linalg.inv(information) / _SAMPLES
         square = float(change @ np.linalg.solve(covariance, change))
-        with_drift = float(change @ np.linalg.solve(covariance + own_drift, change))
-        found[at] = gain * with_drift / max(square, 1e-300) - _PENALTY * len(columns)
-    return found
+        with_drift = float(change @ np.linalg.solve(covariance + law_drift, change))
+        log_odds[at] = gain * with_drift / max(square, 1e-300) - _PENALTY * len(columns)
+    return log_odds
 
 
 def _best_change(

@@ -212,21 +212,21 @@ def sessions_of(recordings: Sequence[MeasuredRecording]) -> tuple[list[list[int]
 
 def in_parts(recordings: Sequence[MeasuredRecording]) -> list[MeasuredRecording]:
     """Recordings cut into equal parts, so that there are enough to compare."""
-    found = []
-    for one in recordings:
-        for rows in np.array_split(np.arange(len(one.time)), _PARTS):
-            found.append(
+    parts = []
+    for recording in recordings:
+        for rows in np.array_split(np.arange(len(recording.time)), _PARTS):
+            parts.append(
                 replace(
-                    one,
-                    start=one.start + float(one.time[rows[0]]),
-                    time=one.time[rows] - one.time[rows[0]],
-                    position=one.position[rows],
-                    velocity=None if one.velocity is None else one.velocity[rows],
-                    effort=one.effort[rows],
-                    command=None if one.command is None else one.command[rows],
+                    recording,
+                    start=recording.start + float(recording.time[rows[0]]),
+                    time=recording.time[rows] - recording.time[rows[0]],
+                    position=recording.position[rows],
+                    velocity=None if recording.velocity is None else recording.velocity[rows],
+                    effort=recording.effort[rows],
+                    command=None if recording.command is None else recording.command[rows],
                 )
             )
-    return found
+    return parts
 
 
 def at_one_rate(recordings: Sequence[MeasuredRecording]) -> list[MeasuredRecording]:

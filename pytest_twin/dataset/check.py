@@ -337,30 +337,30 @@ def _cameras(
 def _always_unknown(
     dataset: Dataset, motions: Mapping[str, Motion], robot: str | None
 ) -> list[Unknown]:
-    found = []
+    unknown = []
     apart = sorted({
         name for feature in dataset.features.values() for name in feature.names
     } - set(motions))  # fmt: skip
     if apart:
-        found.append(Unknown(
+        unknown.append(Unknown(
             f"leader against follower of {list_names(apart)}",
             "in the states or in the actions alone, or not a position in every frame",
             "actions and states with the same names",
         ))  # fmt: skip
-    found.append(Unknown(
+    unknown.append(Unknown(
         "zeros of the joints against a model of the robot",
         "LeRobot's zero is the middle of the calibrated range; leader and follower may be off "
         "together",
         "measure one pose of the follower, and compare it with the model",
     ))  # fmt: skip
     if robot is None:
-        found.append(Unknown("limits of the robot", "no model is given", "--robot FILE"))
+        unknown.append(Unknown("limits of the robot", "no model is given", "--robot FILE"))
     if not any("effort" in f.quantities for f in dataset.features.values()):
-        found.append(Unknown(
+        unknown.append(Unknown(
             "payload, friction and torque", "no efforts are recorded",
             "record the servos' current or load",
         ))  # fmt: skip
-    return found
+    return unknown
 
 
 def _joint(

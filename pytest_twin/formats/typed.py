@@ -59,7 +59,7 @@ def plain(value: object) -> Any:
 
 
 def _field_error(message: str, data: object, kind: type[Any]) -> FieldError:
-    """Return msgspec's error with the value, and with the names that its path omits."""
+    """Return an error of msgspec with the refused value and the full path of its field."""
     import msgspec
 
     problem, _, place = message.partition(" - at `$")

@@ -1,6 +1,7 @@
 """Signs of columns that were mistaken for others: recorded twice, exchanged or reversed.
 
-A recording alone shows these where joints move differently. Where they move alike, nothing is said.
+Without a model, these show only if the joints move differently. If they move alike, there is no
+note.
 """
 
 from __future__ import annotations

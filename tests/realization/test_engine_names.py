@@ -19,7 +19,8 @@ PACKAGE = Path(pytest_twin.__file__).parent
 SEAM = {"realization/engine.py"}
 # Files that users run beside another simulator.
 WRITTEN = "ranges/written/"
-# Names that a class of a newer MuJoCo has, and others have too; none is read without the seam.
+# Attributes of newer MuJoCo classes whose names also occur elsewhere, so that the scan cannot tell
+# them apart. The package reads those of MuJoCo in engine.py only.
 SHARED = {"surfacevel", "type", "texture", "scale", "meshname", "section", "scaling", "name",
           "value", "expanded", "models", "jac", "error", "step", "state"}  # fmt: skip
 
