@@ -34,7 +34,8 @@ python benchmarks/page.py
 ```
 
 Pages about one subject have further figures, each next to its command:
-[blind cases](blind_cases.md), [real machines](real_machines.md),
+[how often a diagnosis is right](explanation/how_often_right.md),
+[real machines](explanation/real_machines.md),
 [robots of suppliers](assets-table.md), [thresholds](sensitivity.md).
 """
 

@@ -8,7 +8,7 @@ one joint. The rotor's inertia is that of the file. Prints the values and the RM
 
 Without gravity load (pan, roll) the zero has no influence and is 0 in the table. For roll, whose
 link is light, only ratios are identifiable; the table has them for a stiffness of 14.1 N*m/rad,
-from a diagnosis of all joints (docs/real_machines.md).
+from a diagnosis of all joints (benchmarks/real/record.md).
 """
 
 from __future__ import annotations

@@ -5,7 +5,8 @@ A validated model is the folder's ``model.xml`` with the drive values of :data:`
 
 - EMPS: the published least-squares fit (Janot, Gautier, Brunot 2019).
 - XL330: result of ``python benchmarks/real/xl330.py --gains 400`` without gain 400
-(docs/real_machines.md); torque constant, rotor inertia and friction are additions to the model's.
+(benchmarks/real/record.md); torque constant, rotor inertia and friction are additions to the
+model's.
 - SO-101: ``python benchmarks/concealed/real_fit.py``: least squares of one-second windows simulated
 by MuJoCo, without code of pytest-twin. Joints that do not move in the chosen segments are welded
 at their angle.
@@ -136,7 +137,7 @@ MACHINES: Mapping[str, Machine] = {
             beside=(("asymmetric_friction", "slide", {"coulomb": 0.0, "offset": -3.1648}),),
             background={
                 "directional_viscous_friction": ({}, "viscous friction differs between the "
-                "directions by 36.5 N*s/m (docs/real_machines.md)"),
+                "directions by 36.5 N*s/m (benchmarks/real/record.md)"),
             },
         ),
         Machine(
@@ -159,10 +160,10 @@ MACHINES: Mapping[str, Machine] = {
                 ("encoder_bias", "pendulum", {"bias": -0.0099, "in_loop": 0.0}),
             ),
             background={
-                "cogging": ({}, "tooth mesh ripple (docs/real_machines.md)"),
-                "position_dependent_friction": ({}, "tooth mesh ripple (docs/real_machines.md)"),
+                "cogging": ({}, "tooth mesh ripple (real/record.md)"),
+                "position_dependent_friction": ({}, "tooth mesh ripple (real/record.md)"),
                 "command_delay": ({"delay": 0.0044}, "found without gain 200 "
-                                  "(docs/real_machines.md)"),
+                                  "(benchmarks/real/record.md)"),
                 "sensor_delay": ({"delay": 0.0044}, "as command_delay"),
             },
         ),

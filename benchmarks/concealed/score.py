@@ -5,8 +5,8 @@
 
 The first command writes the digests of the truth files, which are committed before the diagnosis
 runs. The second checks them and writes the tables: with the names of the cases to ``--out``, and
-without them between the marks of ``--page`` (``docs/blind_cases.md``). The exit status is 1 if a
-truth file is not the committed one.
+without them between the marks of ``--page`` (``record.md`` beside this file). The exit status is 1
+if a truth file is not the committed one.
 
 An effect counts as right if its id and its joint are right. A hidden effect that changes every
 held-out recording by less than the sensor noise (``visibility`` below 1) cannot be found; figures
