@@ -76,7 +76,7 @@ def test_every_module_named_on_the_page_how_it_works_exists() -> None:
     named = {
         name for name in re.findall(r"`([a-z_.]+)`", page) if not name.endswith((".yaml", ".json"))
     }
-    named |= set(ways().modules())
+    named |= set(pictures().modules())
     assert len(named) > 40
     missing = [
         name
@@ -114,12 +114,20 @@ def test_every_file_named_on_a_page_exists() -> None:
     assert missing == set()
 
 
-def test_the_picture_of_how_it_works_is_up_to_date() -> None:
-    assert ways().PICTURE.read_text("utf-8") == ways().picture()
+def test_the_pictures_are_up_to_date() -> None:
+    for name, text in pictures().PICTURES.items():
+        assert (DOCS / "images" / name).read_text("utf-8") == text
 
 
-def ways() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("draw_ways", DOCS / "draw_ways.py")
+def test_every_command_in_the_picture_of_questions_exists() -> None:
+    from pytest_twin import cli
+
+    commands = {command.split()[0] for _, row in pictures().QUESTIONS for _, command in row}
+    assert commands - {"pytest"} <= set(cli.COMMANDS)
+
+
+def pictures() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("draw_pictures", DOCS / "draw_pictures.py")
     assert spec
     assert spec.loader
     module = importlib.util.module_from_spec(spec)

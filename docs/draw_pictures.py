@@ -1,8 +1,8 @@
-"""Draw the picture of ``explanation/how-it-works.md``: the ways through pytest-twin.
+"""Draw the pictures of README and of ``explanation/how-it-works.md``.
 
-    python docs/draw_ways.py
+    python docs/draw_pictures.py
 
-Each box names a module, so a renamed module fails the test of the picture.
+Boxes name commands and modules: a renamed one fails the tests of the pictures.
 """
 
 from __future__ import annotations
@@ -11,7 +11,39 @@ import textwrap
 from html import escape
 from pathlib import Path
 
-PICTURE = Path(__file__).parent / "images" / "ways.svg"
+IMAGES = Path(__file__).parent / "images"
+
+QUESTIONS = (
+    ("A robot's file", (
+        ("What is wrong with it?", "audit"),
+        ("What do other formats lose?", "realize"),
+        ("How do I make it a twin?", "init"),
+    )),
+    ("A twin", (
+        ("Did a change make it worse?", "pytest"),
+        ("May others rely on it?", "pytest --twin-release"),
+        ("Is this what was signed?", "verify"),
+        ("Which data are out of date?", "fresh"),
+    )),
+    ("Recordings", (
+        ("What is in this log?", "show"),
+        ("How far off is the model?", "replay"),
+        ("Which physics is missing?", "diagnose"),
+        ("What changed since May?", "diagnose --before"),
+    )),
+    ("Time at the robot", (
+        ("Which motions do I record?", "excite"),
+        ("Where are zeros, tool, camera?", "calibrate"),
+        ("Which inertia and friction?", "identify"),
+    )),
+    ("Training", (
+        ("Is this data set sound?", "check-dataset"),
+        ("How much do I randomize?", "randomize"),
+        ("How far off is the tool?", "budget"),
+        ("Which release made these data?", "stamp"),
+    )),
+)  # fmt: skip
+"""What one has, the questions that this answers, and the command of each."""
 
 INPUTS = (
     ("twin", "twin.yaml: model files, calibrations, fits, limits"),
@@ -105,11 +137,26 @@ def modules() -> list[str]:
     return [*(name for name, _ in INPUTS), *ways]
 
 
-def picture() -> str:
-    """The SVG. All text is on filled boxes, so that it is legible on light and dark pages."""
+def questions() -> str:
+    """The SVG of README: what one has, and which command answers which question."""
+    width, height, step = 196.0, 66.0, 76.0
+    across = LEFT + TITLE + 4 * (width + GAP) + LEFT
+    parts = [_head(across, 8 + len(QUESTIONS) * step, "Which command answers which question")]
+    for row, (owned, answers) in enumerate(QUESTIONS):
+        y = 4 + row * step
+        parts.append(_box(LEFT, y, TITLE, height, "way", owned, ""))
+        for column, (question, command) in enumerate(answers):
+            x = LEFT + TITLE + GAP + column * (width + GAP)
+            parts.append(_box(x, y, width, height, "step", question, command))
+    return "\n".join([*parts, "</svg>", ""])
+
+
+def ways() -> str:
+    """The SVG of the page. Text is on filled boxes: legible on light and dark pages."""
     across = TITLE + GAP + 5 * (WIDTH + GAP)
     down = TOP + len(WAYS) * STEP + 4
-    parts = [_head(across + LEFT + 26, down)]
+    title = "The ways through pytest-twin: inputs, then one row for each command"
+    parts = [_head(across + LEFT + 26, down, title)]
     wide = (across - 3 * GAP) / len(INPUTS)
     for number, (name, text) in enumerate(INPUTS):
         parts.append(_box(LEFT + number * (wide + GAP), 8, wide, 76, "input", text, name))
@@ -125,10 +172,10 @@ def picture() -> str:
     return "\n".join([*parts, "</svg>", ""])
 
 
-def _head(width: float, height: float) -> str:
+def _head(width: float, height: float, title: str) -> str:
     return f"""<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}"
   font-family="system-ui, 'Segoe UI', 'Noto Sans', 'DejaVu Sans', sans-serif" font-size="12.5">
-<title>The ways through pytest-twin: inputs, then one row for each command</title>
+<title>{title}</title>
 <style>
 rect {{ stroke: #7d8b99; rx: 6px }}
 .input {{ fill: #fff3d6 }} .way {{ fill: #2f5f8f }} .step {{ fill: #eef3f8 }}
@@ -172,5 +219,8 @@ def _return(right: float) -> str:
     )
 
 
+PICTURES = {"questions.svg": questions(), "ways.svg": ways()}
+
 if __name__ == "__main__":
-    PICTURE.write_text(picture(), "utf-8")
+    for name, text in PICTURES.items():
+        (IMAGES / name).write_text(text, "utf-8")
