@@ -310,6 +310,18 @@ def test_readme(reader: Reader) -> None:
     reader.follows("README.md", blocks=slice(3, None))
 
 
+def test_from_a_log_to_a_patched_model(reader: Reader) -> None:
+    page = "docs/tutorials/log_to_model.md"
+    start = reader.folder
+    reader.folder = start / "checkout"
+    shutil.copytree(
+        EXAMPLE, reader.folder / "examples" / "carriage", ignore=shutil.ignore_patterns(".twin")
+    )
+    outputs = reader.follows(page, fails=("pytest",))
+    for text, output in zip(printed(page, "text")[1:], outputs[1:], strict=True):
+        assert_printed(text, output)
+
+
 def test_first_release_rollback_and_stamps(reader: Reader) -> None:
     """The first tutorial, then going back to its first release, stamps and a budget."""
     page = "docs/tutorials/first_release.md"
