@@ -95,6 +95,9 @@ def _generated(at: PurePosixPath, states: Any) -> set[str]:
         content = states.get(state) if isinstance(states, dict) else None
         if isinstance(content, dict) and isinstance(content.get("files"), dict):
             names |= {str(at / file) for file in content["files"]}
+            reports = content.get(manifest.REPORTS)
+            if isinstance(reports, list):
+                names |= {str(at / file) for file in reports if isinstance(file, str)}
     return names
 
 

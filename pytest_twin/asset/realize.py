@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.asset import manifest
+from pytest_twin.asset import manifest, simready
 from pytest_twin.asset.changes import ChangeLog
 from pytest_twin.asset.loss import compare, from_mujoco, from_pinocchio, from_urdf, from_usd, render
 from pytest_twin.asset.loss.description import Description
@@ -75,6 +75,10 @@ def realize(
     forms = [_mjcf(made, robot, told, before, extras)]
     say(0.6)
     forms.append(_usd(made, told, before))
+    stage = forms[-1][1]
+    # The reports of a robot of that name have the same names.
+    if stage is not None and stage.stem not in (CHANGES, LOSS, Path(manifest.FILE_NAME).stem):
+        simready.write(stage, path, located.roots)
     say(0.8)
     forms.append(_pinocchio(made, robot, told, before))
     matrix = Matrix(

@@ -30,7 +30,7 @@ from pytest_twin.audit import (
 )
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.evidence import Evidence
-from pytest_twin.audit.finding import LAYERS, SEVERITIES, Finding
+from pytest_twin.audit.finding import LAYERS, SEVERITIES, SIMREADY, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
 from pytest_twin.audit.self_collision import PoseResult
@@ -191,6 +191,9 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
     rows = finding.to_json(findings)
     counts = Counter(row["severity"] for row in rows)
     free = coupling.degrees_of_freedom(asset)
+    layers = [*LAYERS, *installed_layers.names()]
+    if any(row["layer"] == SIMREADY for row in rows):
+        layers.append(SIMREADY)
     return {
         "schema": SCHEMA,
         "asset": str(asset.path),
@@ -202,7 +205,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             layer: {
                 s: sum(r["layer"] == layer and r["severity"] == s for r in rows) for s in SEVERITIES
             }
-            for layer in (*LAYERS, *installed_layers.names())
+            for layer in layers
         },
         "facts": {
             "bodies": len(asset.bodies),

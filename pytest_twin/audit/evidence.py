@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_twin.audit import simready
 from pytest_twin.audit.asset import Asset, Joint, Vector
 from pytest_twin.audit.finding import Finding, Place, finding_of
 from pytest_twin.errors import SpecError
@@ -60,6 +61,7 @@ class Evidence:
         mass: kg, tolerance in kg, place, source.
         commands: joint or actuator -> quantity of its command, with unit and source.
         poses: name -> joint -> rad or m.
+        simready: results of NVIDIA's validator.
     """
 
     joints: Mapping[str, JointEvidence] = field(default_factory=dict)
@@ -68,16 +70,19 @@ class Evidence:
     poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     mass: tuple[float, float, Place, str] | None = None
     tcp: str | None = None
+    simready: simready.SimReadyResults | None = None
     path: Path | None = None
 
 
 def load(path: Path) -> Evidence:
-    """Read an evidence file.
+    """Read an evidence file, or the JSON of ``simready-validate``.
 
     Raises:
-        FormatError: not strict YAML.
+        FormatError: not strict YAML, or not that JSON.
         SpecError: the file violates the schema, or refers to an undeclared pose.
     """
+    if path.suffix.lower() == simready.SUFFIX:
+        return Evidence(simready=simready.load(path), path=path)
     document = yaml.load(path)
     validate(document, load_schema("evidence.schema.json"), path)
     data, lines = document.data, document.lines
@@ -150,7 +155,7 @@ def load(path: Path) -> Evidence:
             mass.get("source", common),
         ),
         data.get("tcp"),
-        path,
+        path=path,
     )
 
 
@@ -176,6 +181,8 @@ def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
                 )
     if evidence.mass is not None:
         yield from _mass(asset, *evidence.mass)
+    if evidence.simready is not None:
+        yield from simready.check(asset, evidence.simready)
 
 
 def frame_position(asset: Asset, frame: str, values: Mapping[str, float]) -> Vector | None:

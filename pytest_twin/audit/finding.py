@@ -28,9 +28,11 @@ LAYERS: tuple[str, ...] = (
 )
 LAYER_GROUP = "pytest_twin.audit_layers"
 """Entry points of layers of other packages."""
+SIMREADY = "simready"
+"""The layer of what NVIDIA's validator found, where that is given as evidence."""
 PLANNING = "planning"
 """The layer of findings in an SRDF, which is audited separately."""
-_LAYER_RANKS = {layer: rank for rank, layer in enumerate((*LAYERS, PLANNING))}
+_LAYER_RANKS = {layer: rank for rank, layer in enumerate((*LAYERS, SIMREADY, PLANNING))}
 
 
 @dataclass(frozen=True, slots=True)

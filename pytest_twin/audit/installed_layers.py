@@ -11,7 +11,7 @@ from typing import Protocol
 
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.evidence import Evidence
-from pytest_twin.audit.finding import LAYER_GROUP, LAYERS, PLANNING, SEVERITIES, Finding
+from pytest_twin.audit.finding import LAYER_GROUP, LAYERS, PLANNING, SEVERITIES, SIMREADY, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.installed import entry_points_by_name, load_plugin, package_of, single_entry_point
@@ -49,7 +49,7 @@ def check(asset: Asset, known: Evidence, geometry: Geometry) -> Iterator[Finding
 
 def _findings(name: str, asset: Asset, known: Evidence, geometry: Geometry) -> list[Finding]:
     point = single_entry_point(entry_points_by_name(LAYER_GROUP)[name], "audit layer")
-    if name in (*LAYERS, PLANNING):
+    if name in (*LAYERS, SIMREADY, PLANNING):
         raise SpecError(
             f"{package_of(point)} provides an audit layer with the name of a built-in layer",
             where="audit layer",

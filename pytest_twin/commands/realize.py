@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 import re
 from pathlib import Path
@@ -13,7 +14,7 @@ from pytest_twin.commands import json_output, model_files, xacro_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
-from pytest_twin.formats import results
+from pytest_twin.formats import atomic, results
 from pytest_twin.formats.expansions import EXPANDED
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.words import counted
@@ -97,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
                 # Each note of the conversion is listed once.
                 if not any(word in known for word in re.findall(r"'([^']+)'", line))
             ]
+            _add_thumbnail(staging, normalized, sandbox)
         placement.complete(staging, out, source, made)
     json_output.give(args, made)
     _tell(args.out, made)
@@ -106,6 +108,20 @@ def run(args: argparse.Namespace) -> int:
             f"{args.out / made['asset']}{EXPANDED}"
         )
     return CRITICAL if made["critical"] else CLEAN
+
+
+def _add_thumbnail(staging: Path, normalized: Path, sandbox: Sandbox) -> None:
+    """Write the picture of the stage where OpenUSD's browsers look for it."""
+    stage = normalized.with_suffix(".usdc")
+    if not stage.is_file():
+        return
+    picture = sandbox.call(
+        "pytest_twin.audit.thumbnail:thumbnail_of_file", {"path": str(normalized)}
+    )
+    if picture is not None:
+        path = staging / f".thumbs/256x256/{stage.name}.png"
+        path.parent.mkdir(parents=True)
+        atomic.write_bytes(path, base64.b64decode(picture))
 
 
 def _tell(out: Path, made: dict[str, Any]) -> None:

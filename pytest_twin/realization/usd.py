@@ -122,7 +122,7 @@ def convert(urdf: Path, target: Path) -> None:
             words = " ".join(str(error).split())[:300]
             raise ModelError(f"the USD converter refuses it: {words}", path=urdf) from None
         layer = Sdf.Layer.FindOrOpen(made.path)
-        _replace_frames(made.path, urdf)
+        _correct(made.path, urdf)
         # Place and time of the conversion are removed, because they would change the digest.
         layer.documentation = ""
         layer.comment = ""
@@ -130,12 +130,12 @@ def convert(urdf: Path, target: Path) -> None:
         layer.Export(str(target))
 
 
-def _replace_frames(stage_path: str, urdf: Path) -> None:
+def _correct(stage_path: str, urdf: Path) -> None:
     from pxr import Gf, Sdf, Usd
     from scipy.spatial.transform import Rotation
 
     from pytest_twin.realization import urdf as urdf_text
-    from pytest_twin.realization import usd_axes
+    from pytest_twin.realization import usd_axes, usd_simready
     from pytest_twin.realization.usd_names import link_prims
 
     robot = urdf_text.read(urdf)
@@ -153,6 +153,7 @@ def _replace_frames(stage_path: str, urdf: Path) -> None:
         x, y, z, w = Rotation.from_matrix(joint.rotation).as_quat()
         made.Set(Gf.Quatd(w, x, y, z))
     usd_axes.improve_axes(stage, robot)
+    usd_simready.complete(stage, robot)
     stage.GetRootLayer().Save()
 
 

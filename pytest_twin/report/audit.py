@@ -27,6 +27,7 @@ _TITLES: Mapping[str, str] = {
     "commands": "Command semantics",
     "controllers": "Controllers and sensors",
     "planning": "Planning groups, poses and disabled pairs",
+    "simready": "SimReady profile",
 }
 MAX_ROWS = 200
 """Largest number of findings of one kind on the page; the JSON file has all."""

@@ -220,8 +220,9 @@ def test_the_matrices_of_usd_and_pinocchio_list_what_is_kept_and_lost(made: Path
     assert rows["mass"]["verdict"] == "changed"
     assert not any(row["critical"] for row in usd["rows"])
     assert rows["mimic"]["verdict"] == "kept"
-    assert rows["effort limits"]["verdict"] == "lost"
-    assert rows["actuators"]["verdict"] == "lost"
+    # The follower of a mimic has no drive.
+    assert [item["name"] for item in rows["effort limits"]["items"]] == ["right"]
+    assert rows["actuators"]["verdict"] == "kept"
     rows = {row["feature"]: row for row in pinocchio["rows"]}
     assert rows["position limits"]["verdict"] == "kept"
     assert rows["mimic"]["verdict"] == "lost"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pytest_twin import audit
 from pytest_twin.asset.urdf_elements import ENTRIES
-from pytest_twin.audit.finding import LAYERS, PLANNING, SEVERITIES, catalogue, finding_of
+from pytest_twin.audit.finding import LAYERS, PLANNING, SEVERITIES, SIMREADY, catalogue, finding_of
 
 
 def test_catalogue_and_code_name_the_same_findings() -> None:
@@ -16,7 +16,7 @@ def test_catalogue_and_code_name_the_same_findings() -> None:
     made |= {entry.goes.code for entry in ENTRIES if entry.goes.code is not None}
     listed = {f"{layer}.{name}" for layer, names in catalogue().items() for name in names}
     assert made == listed
-    assert set(catalogue()) <= {*LAYERS, PLANNING}
+    assert set(catalogue()) <= {*LAYERS, SIMREADY, PLANNING}
 
 
 def test_every_entry_has_a_known_severity_or_leaves_it_to_the_code() -> None:
