@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,22 +19,10 @@ from pytest_twin.changes.recordings import (
 )
 from pytest_twin.effects.base import si_unit
 from pytest_twin.errors import RecordingError
-from pytest_twin.identification.effort.effort_scale import known_payload
-from pytest_twin.identification.effort.filtering import Filter, choose_filter, differentiate
-from pytest_twin.identification.effort.law_columns import EffortLaws, EffortRows
-from pytest_twin.identification.measured_recordings import MeasuredRecording
+from pytest_twin.identification.effort.law_columns import EffortLaws
+from pytest_twin.identification.effort.laws_along import LawsAlong, band_of, rms_of
 from pytest_twin.realization import Realization
-from pytest_twin.realization.inverse_dynamics import InverseDynamics
 
-_BANDWIDTH = 5.0
-"""Largest bandwidth of the comparison, Hz. Arms move below it; above it efforts are noise of the
-encoders and of the drives' control."""
-_OVERSAMPLED = 15.0
-"""Smallest ratio of the sampling rate to the bandwidth: central differences then lose 3 %."""
-_POSITIONS, _RATE = 4.0, 2.5
-"""Cutoff of the positions and rate of the rows, relative to the bandwidth."""
-_REST = 0.002
-"""Fraction of a joint's largest speed below which the direction of dry friction is unknown."""
 _OTHER_UNIT = 5.0
 """Ratio of the efforts to those that the earlier recordings predict, above which (or below its
 reciprocal) they have another unit."""
@@ -89,10 +76,10 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
         )
     every = at_one_rate([*before, *compared.new, *compared.held_out])
     before = every[: len(before)]
-    chosen = _filter(every)
-    laws, parts = _laws_along(realization, every, chosen, len(before))
+    along = LawsAlong.of(realization, before, band_of(every))
+    laws, parts = along.laws, along.rows(every)
     known = np.isfinite(np.concatenate([part.effort for part in parts])).any(axis=0)
-    size = np.where(known, _rms([one.effort for one in before]), 1.0)
+    size = np.where(known, rms_of([one.effort for one in before]), 1.0)
     rows = Rows.of(parts, size, laws.count)
     first, last = len(before), len(before) + len(compared.new)
     later, _ = sessions_of(compared.new)
@@ -115,57 +102,12 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
     )  # fmt: skip
 
 
-def _filter(recordings: Sequence[MeasuredRecording]) -> Filter:
-    """One filter for all recordings: efforts at other rates are compared in the same band."""
-    slowest = min(one.rate for one in recordings)
-    band = min(choose_filter(recordings).parallel, _BANDWIDTH, slowest / _OVERSAMPLED)
-    return Filter(_POSITIONS * band, band, _RATE * band)
-
-
-def _laws_along(
-    realization: Realization, recordings: Sequence[MeasuredRecording], chosen: Filter, before: int
-) -> tuple[EffortLaws, list[EffortRows]]:
-    """The laws that efforts show, and the rows of every recording.
-
-    Args:
-        before: number of earlier recordings, from which the typical sizes are.
-    """
-    motions = [differentiate(one, chosen) for one in recordings[:before]]
-    position = np.concatenate([m.position for m in motions])
-    speed = np.maximum(_rms([m.velocity for m in motions]), 1e-3)
-    effort = np.maximum(_rms([m.effort for m in motions]), 1e-4)
-    travel = np.maximum(position.std(axis=0), 1e-2)
-    fastest = np.max([np.abs(m.velocity).max(axis=0) for m in motions], axis=0)
-    acceleration = np.maximum(_rms([m.acceleration for m in motions]), 1e-2)
-    longest = max(float(one.time[-1]) for one in recordings[:before])
-    laws = EffortLaws(realization, recordings[0].joints, {
-        "effort": effort, "velocity": speed, "position": travel, "damping": effort / speed,
-        "stiffness": effort / travel, "drag": effort / speed**2, "inertia": effort / acceleration,
-        "compliance": travel / effort, "twelfth": np.full(len(effort), longest / 12.0),
-    })  # fmt: skip
-    rest = np.maximum(_REST * fastest, 1e-9)
-    payloads: dict[str, FloatArray] = {}
-    rows = []
-    for one in recordings:
-        payload = known_payload(realization, one)
-        if payload is not None and payload not in payloads:
-            loaded = InverseDynamics(realization.variant(payload=payload), laws.joints)
-            payloads[payload] = loaded.parameters - laws.dynamics.parameters
-        carried = None if payload is None else payloads[payload]
-        rows.append(laws.rows(one, chosen, rest, carried))
-    return laws, rows
-
-
-def _rms(values: Sequence[FloatArray]) -> FloatArray:
-    return np.asarray(np.sqrt(np.nan_to_num(np.nanmean(np.concatenate(values) ** 2, axis=0))))
-
-
 def _refuse_other_unit(rows: Rows, comparison: Comparison, new: range, size: FloatArray) -> None:
     """Refuse efforts in another unit: all joints then change by the same factor."""
     ratios = []
     for i in new:
         recording = rows.parts[i].recording
-        measured = _rms([recording.effort])
+        measured = rms_of([recording.effort])
         use = measured > 0.0
         ratios.append(np.median(measured[use] / size[use]) if use.any() else 1.0)
     for i, ratio in zip(new, ratios, strict=True):

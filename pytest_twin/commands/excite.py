@@ -12,6 +12,7 @@ from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.commands.time_limit import add_seconds
+from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.loaded_model import find_model
 from pytest_twin.report import excitation
@@ -21,10 +22,14 @@ from pytest_twin.words import counted, list_names
 EXAMPLES = (
     "pytest-twin excite twin.yaml --out excitation/",
     "pytest-twin excite cell/twin.yaml --out excitation/ --seed 7 --json -",
+    "pytest-twin excite twin.yaml --separate backlash@elbow,dead_zone@elbow --out excitation/",
 )
 EXIT_STATUS = {
-    0: "all requested parameters are identifiable by motions within the approved limits",
-    1: "a parameter is not identifiable, or no motion for it is safe",
+    0: (
+        "all requested parameters are identifiable by motions within the approved limits; with "
+        "--separate: a motion is expected to decide between the hypotheses with 0.9"
+    ),
+    1: "a parameter is not identifiable, no motion decides, or none is safe",
 }
 IDENTIFIABLE, NOT_IDENTIFIABLE = 0, 1
 FILE_NAME, ABORT_NAME, PAGE_NAME = "excitation.json", "abort.json", "excitation.html"
@@ -51,6 +56,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", metavar="N", type=_seed, default=1, help="seed of all random choices (default: 1)"
     )
+    parser.add_argument(
+        "--separate",
+        metavar="EFFECT[@JOINT],EFFECT[@JOINT]",
+        help="choose the motion that tells two effects apart best, such as "
+        "backlash@elbow,dead_zone@elbow; pytest-twin effects lists them",
+    )
+    parser.add_argument(
+        "--diagnosis",
+        metavar="DIR",
+        type=Path,
+        help="with --separate: take parameters, joints and noise from the diagnosis in this folder",
+    )
     add_seconds(parser, 0.0, "the safe motions so far are written, and the other designs are named")
     model_files.add_arguments(parser)
 
@@ -61,6 +78,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         TwinError: the input cannot be used, or its limits are not approved.
     """
+    if args.diagnosis is not None and args.separate is None:
+        raise TwinError("only with --separate", where="--diagnosis", expected="--separate A,B")
     model = str(find_model(args.model))
     out: Path = args.out
     progress = Progress("designing motions")
@@ -72,19 +91,27 @@ def run(args: argparse.Namespace) -> int:
             blank = sandbox.call("pytest_twin.excitation.excite:missing_template", {"model": model})
             if blank["template"]:
                 show(blank["template"])
-            designed = sandbox.call(
-                "pytest_twin.excitation.excite:excite_file",
-                {"model": model, "out": str(staging), "seed": args.seed, "seconds": args.seconds},
-                progress=progress,
-            )
+            designed = sandbox.call(*_design(args, model, staging), progress=progress)
             document, abort = designed["document"], designed["abort"]
             atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
             atomic.write_text(staging / ABORT_NAME, json.dumps(abort, indent=2) + "\n")
             page = excitation.render(document, abort, designed["drawn"])
             atomic.write_text(staging / PAGE_NAME, page)
         json_output.give(args, document)
-        show("\n".join(printable(line) for line in _words(document, out)))
-        return IDENTIFIABLE if document["verdict"] == "identifiable" else NOT_IDENTIFIABLE
+        words = _words(document, out) if args.separate is None else _separation(document, out)
+        show("\n".join(printable(line) for line in words))
+        complete = document["verdict"] in ("identifiable", "separable")
+        return IDENTIFIABLE if complete else NOT_IDENTIFIABLE
+
+
+def _design(args: argparse.Namespace, model: str, staging: Path) -> tuple[str, dict[str, Any]]:
+    """The function of the child that designs the motions, and its arguments."""
+    given = {"model": model, "out": str(staging), "seed": args.seed, "seconds": args.seconds}
+    if args.separate is None:
+        return "pytest_twin.excitation.excite:excite_file", given
+    diagnosis = None if args.diagnosis is None else str(args.diagnosis.absolute())
+    given |= {"words": args.separate, "diagnosis": diagnosis}
+    return "pytest_twin.excitation.separate:separate_file", given
 
 
 def _seed(word: str) -> int:
@@ -114,17 +141,45 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
     ]
     if reduced:
         lines.append(f"scaled down to be safe: {list_names(reduced, 3)}")
-    lines += [
-        f"X {one['name']}: no safe motion in {counted(one['attempts'], 'attempt')}: "
-        + list_names(one["why"], 3, "; ")
-        for one in document["refused"]
-    ]
+    lines += _refusals(document)
     open_ = document["unidentifiable"]
     lines += [f"! not identifiable: {one}" for one in open_[:_MOST_LINES]]
     if len(open_) > _MOST_LINES:
         lines.append(f"! {len(open_) - _MOST_LINES} more are in {FILE_NAME}")
-    if document["ended_early"]:
-        lines.append(f"note: {document['ended_early']}")
-    lines += [f"note: {document['closed_loop']}", f"note: {document['notice']}"]
-    lines.append(f"report: {out / PAGE_NAME}")
-    return lines
+    return [*lines, *_notes(document, out)]
+
+
+def _separation(document: dict[str, Any], out: Path) -> list[str]:
+    separation = document["separation"]
+    first, second = (one["name"] for one in separation["hypotheses"])
+    decided = document["verdict"] == "separable"
+    lines = [
+        f"{'Separable' if decided else 'Not separable'}: {first} and {second}, by "
+        f"{separation['signals']} within the limits approved by {document['approved_by']}"
+    ]
+    for one in separation["expected"]:
+        lines.append(f"  {one['trajectory']}: {_chance(one)}")
+    usual = separation["usual_motion"]
+    if usual is not None:
+        lines.append(f"  without hypotheses, the best is {usual['trajectory']}: {_chance(usual)}")
+    return [*lines, *_refusals(document), *_notes(document, out)]
+
+
+def _chance(expected: dict[str, Any]) -> str:
+    return f"expected probability of the true one {min(expected['probability'], 0.999):.3g}"
+
+
+def _refusals(document: dict[str, Any]) -> list[str]:
+    return [
+        f"X {one['name']}: no safe motion in {counted(one['attempts'], 'attempt')}: "
+        + list_names(one["why"], 3, "; ")
+        for one in document["refused"]
+    ]
+
+
+def _notes(document: dict[str, Any], out: Path) -> list[str]:
+    early = [f"note: {document['ended_early']}"] if document["ended_early"] else []
+    return [
+        *early, f"note: {document['closed_loop']}", f"note: {document['notice']}",
+        f"report: {out / PAGE_NAME}",
+    ]  # fmt: skip

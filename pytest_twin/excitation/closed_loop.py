@@ -15,6 +15,7 @@ from pytest_twin.errors import SimulationError, SpecError
 from pytest_twin.excitation.approved_limits import ApprovedLimits
 from pytest_twin.excitation.motion import Motion
 from pytest_twin.open_loop import Row, replay_rows
+from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.first_state import follow_joint_equalities
 from pytest_twin.realization.inputs import LINEAR_GAINS, command_input, joint_inputs
 from pytest_twin.realization.model import Realization
@@ -28,7 +29,7 @@ _GAINS = {"stiffness": 1, "damping": 2}
 """Gain of a servo -> its index in ``biasprm``."""
 _CHANGE = 0.02
 """Relative change of a gain in the difference quotient."""
-_SETTLE = 2.0
+SETTLE = 2.0
 """Time at rest before the motion, s, in which servos settle under gravity."""
 
 
@@ -123,31 +124,8 @@ class ClosedLoop:
 
     def _row(self, motion: Motion, model: mujoco.MjModel) -> Row:
         assert self.modes is not None
-        return Row(self._trial(motion, self.modes), model, {}, self._realization.path)
-
-    def _trial(self, motion: Motion, modes: tuple[CommandMode, ...]) -> Trial:
-        names = self._approved.names
-        count = len(motion.time)
-        command = np.where(
-            np.array([mode == "velocity" for mode in modes]), motion.velocity, motion.position
-        )
-        time = np.concatenate([[0.0], _SETTLE + motion.time])
-        return Trial(
-            path=Path(motion.name),
-            start=0,
-            joints=names,
-            time=time,
-            position=np.concatenate([motion.position[:1], motion.position]),
-            velocity=np.zeros((count + 1, len(names))),
-            effort=None,
-            command_joints=names,
-            command_time=time,
-            command=np.concatenate([command[:1], command]),
-            command_modes=modes,
-            metadata={},
-            command_between="interpolated",
-            between_source="option",
-        )
+        trial = trial_of(motion, None, self._approved.names, self.modes)
+        return Row(trial, model, {}, self._realization.path)
 
     def _ideal_response(self, motion: Motion) -> Response:
         """Return the efforts of a robot that follows its commands exactly (inverse dynamics)."""
@@ -168,6 +146,43 @@ class ClosedLoop:
             mujoco.mj_inverse(model, data)
             effort[at] = data.qfrc_inverse[self._dofs]
         return Response(motion.position, motion.velocity, effort)
+
+
+def trial_of(
+    motion: Motion,
+    realization: Realization | None,
+    names: tuple[str, ...],
+    modes: tuple[CommandMode, ...],
+) -> Trial:
+    """Return the trial that commands a motion after ``SETTLE`` at rest.
+
+    Args:
+        realization: the model whose encoders read the positions; None for positions in the model's
+            sign and zero.
+        names, modes: (j,) joints and their command modes.
+    """
+    calibration = {} if realization is None else calibration_of(realization)
+    encoders = Encoders.of(calibration, names)
+    position = encoders.read_position(motion.position)
+    by_velocity = np.array([mode == "velocity" for mode in modes])
+    command = np.where(by_velocity, encoders.read_velocity(motion.velocity), position)
+    time = np.concatenate([[0.0], SETTLE + motion.time])
+    return Trial(
+        path=Path(motion.name),
+        start=0,
+        joints=names,
+        time=time,
+        position=np.concatenate([position[:1], position]),
+        velocity=np.zeros((len(time), len(names))),
+        effort=None,
+        command_joints=names,
+        command_time=time,
+        command=np.concatenate([command[:1], command]),
+        command_modes=modes,
+        metadata={},
+        command_between="interpolated",
+        between_source="option",
+    )
 
 
 def servo_modes(realization: Realization, joints: Sequence[str]) -> tuple[CommandMode, ...] | None:

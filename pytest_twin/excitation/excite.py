@@ -8,35 +8,31 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 
-from pytest_twin.excitation import d_optimal, files, prediction
+from pytest_twin.excitation import files, prediction
 from pytest_twin.excitation.approved_limits import ApprovedLimits, missing_lines
-from pytest_twin.excitation.clearance import ClearanceChecker
+from pytest_twin.excitation.approved_robot import ApprovedRobot, load_twin_model
 from pytest_twin.excitation.closed_loop import servo_modes
 from pytest_twin.excitation.designs import (
-    loading_poses,
     several_joint_designs,
     single_joint_designs,
 )
 from pytest_twin.excitation.document import courses, document_of, on_abort
 from pytest_twin.excitation.find_safe import RejectedDesign, Robot, SafeMotion, find_safe
 from pytest_twin.excitation.gravity_grid import static_base
-from pytest_twin.excitation.noise import SampleNoise, noise_of
+from pytest_twin.excitation.noise import SampleNoise
 from pytest_twin.excitation.prediction import PredictedAccuracy
-from pytest_twin.excitation.read_limits import missing_error, movable_joints, read_approved
+from pytest_twin.excitation.read_limits import missing_error, movable_joints
 from pytest_twin.excitation.template import template
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.file_names import portable_names
-from pytest_twin.identification.regressor.base_parameters import BaseParameters, structural_base
+from pytest_twin.identification.regressor.base_parameters import BaseParameters
 from pytest_twin.identification.regressor.regressor import Regressor
 from pytest_twin.realization.encoders import Encoders, calibration_of
-from pytest_twin.realization.loading import load
 from pytest_twin.realization.model import Realization
-from pytest_twin.realization.record_inputs import with_stale_records
 from pytest_twin.recording_options import CommandMode
 from pytest_twin.time_limit import limited
-from pytest_twin.twin import Twin, load_twin
+from pytest_twin.twin import Twin
 
 FOLDER = "trajectories"
 
@@ -70,7 +66,7 @@ def missing_template(model: str) -> dict[str, Any]:
     Args:
         model: MJCF, URDF or ``twin.yaml``.
     """
-    realization, twin = _load(Path(model))
+    realization, twin = load_twin_model(Path(model))
     section = {} if twin is None else twin.excitation or {}
     missing = missing_lines(section, movable_joints(realization))
     if not missing:
@@ -102,7 +98,7 @@ def excite_file(
             ``drawn``, series over time for the page.
     """
     path = Path(model)
-    realization, twin = _load(path)
+    realization, twin = load_twin_model(path)
     if twin is None:
         raise missing_error(path, missing_lines({}, movable_joints(realization)), None)
     with limited(seconds) as limit:
@@ -136,19 +132,12 @@ def excite(
     Raises:
         SpecError: lines are missing, a value is invalid, or the start is not safe.
     """
-    approved = read_approved(realization, twin)
-    noise = noise_of(realization, approved)
-    around = ClearanceChecker(realization, approved)
-    regressor = Regressor(realization, approved.names)
-    _refuse_unsafe_start(realization, twin, approved, around, regressor)
-    base = structural_base(regressor)
-    loads = loading_poses(approved, regressor, around.is_clear, seed)
+    robot = ApprovedRobot.of(realization, twin, seed)
+    approved, noise, regressor = robot.approved, robot.noise, robot.regressor
     payloads = tuple(twin.payloads)
-    optimal = None
-    if "inertia" in approved.mechanisms:
-        optimal = d_optimal.Design(approved, regressor, base, noise.effort, around.spare)
-    designs = single_joint_designs(approved, loads, seed) + several_joint_designs(
-        approved, regressor, noise.effort, around, payloads, optimal, seed
+    optimal = robot.optimal if "inertia" in approved.mechanisms else None
+    designs = single_joint_designs(approved, robot.loads, seed) + several_joint_designs(
+        approved, regressor, noise.effort, robot.around, payloads, optimal, seed
     )
     wanted = {design.payload for design in designs}
     robots = {
@@ -158,57 +147,11 @@ def excite(
     }
     safe, refused = find_safe(designs, approved, robots, progress)
     carrier = _carrier(twin, realization, regressor)
-    predicted = _predict_accuracies(safe, approved, noise, regressor, base, robots, carrier)
+    predicted = _predict_accuracies(safe, approved, noise, regressor, robot.base, robots, carrier)
     return Excitation(
-        realization, approved, noise, regressor, base, tuple(safe), tuple(refused),
+        realization, approved, noise, regressor, robot.base, tuple(safe), tuple(refused),
         tuple(predicted), seed,
     )  # fmt: skip
-
-
-def _load(path: Path) -> tuple[Realization, Twin | None]:
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        return load(path), None
-    twin = load_twin(path)
-    first = twin.first_realization
-    realization = load(first.file, twin=twin, name=first.name)
-    return with_stale_records(realization), twin
-
-
-def _refuse_unsafe_start(
-    realization: Realization,
-    twin: Twin,
-    approved: ApprovedLimits,
-    around: ClearanceChecker,
-    regressor: Regressor,
-) -> None:
-    near = around.too_near(approved.start)
-    if near:
-        said = "; ".join(
-            f"{one.pair[0]} and {one.pair[1]} {one.distance:.4g} m (least {one.required:.4g} m)"
-            for one in near
-        )
-        raise twin.error(
-            "excitation.clearance",
-            f"the start is not clear: {said}",
-            expected="another start:, distances of these pairs under clearance.pairs, or, where "
-            "they may touch, clearance.ignore",
-        )
-    box = around.least_box_spare(approved.start[None])
-    if box is not None and box[0] < 0.0:
-        raise twin.error(
-            "excitation.workspace", f"at the start {box[1]!r} is outside its box",
-            value=round(-box[0], 6), unit="m beyond", expected="a start inside all boxes",
-        )  # fmt: skip
-    still = np.zeros((1, len(approved.joints)))
-    effort = regressor.matrix(approved.start[None], still, still)[0] @ regressor.prior
-    for joint, value, limit in zip(approved.joints, effort, approved.effort, strict=True):
-        if abs(value) > limit:
-            raise twin.error(
-                f"excitation.joints.{joint.name}.effort",
-                "gravity alone needs more at the start",
-                value=f"{limit:.4g} (with the margin)", unit=joint.effort_unit,
-                expected=f"at least {abs(value):.4g} {joint.effort_unit}",
-            )  # fmt: skip
 
 
 def _predict_accuracies(

@@ -22,7 +22,7 @@ class Motion:
 
     Attributes:
         mechanisms: mechanisms that it identifies.
-        kind: ``steps``, ``chirp``, ``reversals``, ``grid`` or ``fourier``.
+        kind: ``steps``, ``chirp``, ``reversals``, ``grid``, ``fourier`` or ``moves``.
         role: ``fit`` or ``held_out``.
         seed: seed of its random choices.
         moved: joints that it identifies; others hold a pose.
@@ -143,9 +143,13 @@ class Path:
         )
         return math.ceil(least * self._rate - 1e-9) / self._rate
 
-    def move(self, target: FloatArray) -> None:
-        """Append the fastest quintic move of all joints to ``target`` (j,), from rest to rest."""
-        seconds = self.time_to(target)
+    def move(self, target: FloatArray, share: float = 1.0) -> None:
+        """Append a quintic move of all joints to ``target`` (j,), from rest to rest.
+
+        Args:
+            share: its speed as a share of the fastest move.
+        """
+        seconds = math.ceil(self.time_to(target) / share * self._rate - 1e-9) / self._rate
         count = round(seconds * self._rate)
         if count == 0:
             return

@@ -14,13 +14,16 @@ from pytest_twin.report.page import style_of, svg_uri, template
 _VERDICT = {
     "identifiable": ("All requested parameters are identifiable", "good"),
     "not_identifiable": ("Some requested parameters are not identifiable", "bad"),
+    "separable": ("A motion is expected to decide between the hypotheses", "good"),
+    "not_separable": ("No motion is expected to decide between the hypotheses", "bad"),
 }
 _KIND = {
     "steps": "Steps of one joint",
     "chirp": "Chirps of one joint",
     "reversals": "Slow reversals of one joint",
     "grid": "Poses at rest",
-    "fourier": "Fourier series, D-optimal",
+    "fourier": "Fourier series",
+    "moves": "Moves from rest to rest",
 }
 MARGINS = ("position", "velocity", "acceleration", "effort", "power", "stop", "workspace",
            "clearance")  # fmt: skip

@@ -123,6 +123,7 @@ class EffortLaws:
         joints: names, in the order of the efforts.
         shapes: every law at every joint, in every shape.
         count: number of columns.
+        scales: reference scales of the parameters.
 
     Args:
         scales: reference -> (joints,) typical size in SI units, see
@@ -137,7 +138,7 @@ class EffortLaws:
         self._model = realization.model
         self._layout = Layout(realization.model, (), joints)
         ones = np.ones(len(joints))
-        self._scales = Scales({
+        self.scales = Scales({
             **scales,
             "one": ones,
             "mass": ones * max(self._layout.tool_mass, 0.05),
@@ -160,7 +161,7 @@ class EffortLaws:
         return np.array(
             [
                 [
-                    p.neutral if k in amplitudes else value * self._scales.value(p, joint)
+                    p.neutral if k in amplitudes else value * self.scales.value(p, joint)
                     for joint in range(len(self.joints))
                 ]
                 for k, (p, value) in enumerate(zip(law.parameters, start, strict=True))
@@ -172,7 +173,7 @@ class EffortLaws:
         random = np.random.default_rng(0)
         position, velocity, acceleration = random.normal(size=(3, _PROBES, len(self.joints)))
         along = self._along(States(
-            np.linspace(0.0, 1.0, _PROBES), position, velocity * self._scales.of["velocity"],
+            np.linspace(0.0, 1.0, _PROBES), position, velocity * self.scales.of["velocity"],
             acceleration,
         ))  # fmt: skip
         seen: dict[Term, list[FloatArray]] = {}
@@ -209,7 +210,7 @@ class EffortLaws:
         """(joints,) amplitude at which the effort is taken, SI units."""
         p = form.law.parameters[amplitude]
         start = next(abs(s) for s in p.starts if s)
-        scale = [self._scales.value(p, joint) for joint in range(len(self.joints))]
+        scale = [self.scales.value(p, joint) for joint in range(len(self.joints))]
         return _SMALL * start * np.array(scale)
 
     def _along(self, states: States) -> _Along:

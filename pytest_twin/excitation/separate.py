@@ -1,0 +1,292 @@
+"""Choose the bounded motion that tells two hypotheses apart best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_twin.arrays import FloatArray
+from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
+from pytest_twin.excitation.approved_robot import ApprovedRobot
+from pytest_twin.excitation.candidates import Candidate, candidates, of_moves
+from pytest_twin.excitation.closed_loop import servo_modes
+from pytest_twin.excitation.discrimination import Separation
+from pytest_twin.excitation.excite import Excitation, write_motions
+from pytest_twin.excitation.find_safe import RejectedDesign, Robot, SafeMotion, find_safe
+from pytest_twin.excitation.hypotheses import (
+    Rival,
+    read_diagnosed,
+    read_rivals,
+)
+from pytest_twin.excitation.motion import Motion, Role
+from pytest_twin.excitation.responses import Noise
+from pytest_twin.excitation.safety import check_commands
+from pytest_twin.excitation.separators import Separator, separator_of
+from pytest_twin.time_limit import is_over, limited, skips
+
+DECIDED = 0.9
+"""Expected probability from which a motion tells two hypotheses apart."""
+_ROUNDS = 3
+"""Number of rounds in which the best random moves are varied."""
+_VARIED, _VARIANTS = 3, 4
+"""Number of moves that are varied in a round, and of the variants of each."""
+_FINALISTS = 4
+"""Number of motions whose safety is checked by simulation, the best first."""
+_SMALL = 0.3
+"""Amplitude of motions that are compared if none keeps the limits with its full amplitude."""
+_USUAL = ("steps", "chirp", "reversals", "fourier")
+"""Kinds of the motions that ``excite`` designs without hypotheses."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A candidate with its motion and how well this separates the hypotheses."""
+
+    candidate: Candidate
+    motion: Motion
+    separation: Separation
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The motions that were chosen.
+
+    Attributes:
+        truths: parameters of both hypotheses that are taken for true.
+        motions: safe motions with their separation, the best first.
+        refused: designs without a safe motion.
+        usual: the best of the motions that ``excite`` designs without hypotheses; None if there is
+            none within the limits.
+        tried: number of motions that were simulated.
+    """
+
+    truths: tuple[Mapping[str, Any], Mapping[str, Any]] = ({}, {})
+    motions: tuple[tuple[SafeMotion, Separation], ...] = ()
+    refused: tuple[RejectedDesign, ...] = ()
+    usual: Judged | None = None
+    tried: int = 0
+
+
+def separate_file(
+    model: str,
+    out: str,
+    words: str,
+    diagnosis: str | None,
+    seed: int,
+    progress: Callable[[float], None] = lambda fraction: None,
+    seconds: float = 0.0,
+) -> dict[str, Any]:
+    """Choose the motion, check and write it; runs in the child process.
+
+    Args:
+        model: ``twin.yaml``.
+        out: folder for the motions.
+        words: ``EFFECT[@JOINT],EFFECT[@JOINT]``.
+        diagnosis: folder of a diagnosis with parameters and noise; None without one.
+        seed, progress, seconds: as for :func:`~pytest_twin.excitation.excite.excite_file`.
+
+    Returns:
+        ``document``, ``abort`` and ``drawn`` as of ``excite_file``.
+    """
+    with limited(seconds) as limit:
+        robot = ApprovedRobot.load(Path(model), seed)
+        diagnosed = None if diagnosis is None else read_diagnosed(Path(diagnosis))
+        names = robot.approved.names
+        rivals = read_rivals(words, names, servo_modes(robot.realization, names), diagnosed)
+        separator = separator_of(robot, rivals, diagnosed)
+        moved = sorted({j for rival in rivals for j in _joints_of(rival, len(names))})
+        with ending_at_limit():
+            try:
+                chosen = separate(robot, separator, moved, progress)
+            except OutOfTime:
+                skips("all motions")
+                chosen = Chosen()
+    written = _written(robot, chosen, Path(model), Path(out))
+    written["document"]["separation"] = _document(robot, rivals, separator.noise, chosen)
+    written["document"]["not_tried"] = limit.not_tried
+    written["document"]["ended_early"] = limit.note()
+    return written
+
+
+def separate(
+    robot: ApprovedRobot,
+    separator: Separator,
+    moved: Sequence[int],
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Chosen:
+    """Choose the safe motion with the largest expected odds.
+
+    Motions of single joints, random Fourier series and random moves are simulated under both
+    hypotheses; then the best moves are varied, as in an evolution strategy.
+
+    Args:
+        moved: columns of the joints that the hypotheses are about.
+
+    Raises:
+        OutOfTime: the time limit is over before the first motions are compared.
+    """
+    approved = robot.approved
+    first = candidates(approved, robot.loads, robot.optimal, moved, robot.seed)
+    judged = _judged(first, robot, separator)
+    random = np.random.default_rng(robot.seed)
+    for number in range(_ROUNDS):
+        progress(0.4 + 0.15 * number)
+        if skips("varied motions"):
+            break
+        try:
+            judged += _judged(_varied(judged, robot, moved, random, number), robot, separator)
+        except OutOfTime:
+            skips("varied motions")
+            break
+    judged.sort(key=lambda one: one.separation.rank, reverse=True)
+    usual = next((one for one in judged if one.motion.kind in _USUAL), None)
+    robots: dict[str | None, Robot] = {None: Robot(robot.realization, approved)}
+    finalists = [one.candidate.design for one in judged[:_FINALISTS]]
+    safe, refused = find_safe(finalists, approved, robots, lambda fraction: None)
+    final = _of_safe(safe, judged, separator)
+    return Chosen(separator.truths(), final, tuple(refused), usual, len(judged))
+
+
+def _joints_of(rival: Rival, count: int) -> Sequence[int]:
+    return range(count) if rival.term.joint < 0 else (rival.term.joint,)
+
+
+def _judged(some: Sequence[Candidate], robot: ApprovedRobot, separator: Separator) -> list[Judged]:
+    """Candidates whose commands keep the limits, with their separation."""
+    kept, motions = [], []
+    for candidate in some:
+        if is_over():
+            raise OutOfTime
+        motion = candidate.design.motion(1.0, candidate.design.seed)
+        if check_commands(motion, robot.approved, robot.around).is_safe:
+            kept.append(candidate)
+            motions.append(motion)
+    if not kept:
+        # Smaller motions of the same designs may be safe.
+        kept = list(some)
+        motions = [one.design.motion(_SMALL, one.design.seed) for one in some]
+    return [Judged(*each) for each in zip(kept, motions, separator.separations(motions),
+                                          strict=True)]  # fmt: skip
+
+
+def _varied(
+    judged: Sequence[Judged],
+    robot: ApprovedRobot,
+    moved: Sequence[int],
+    random: np.random.Generator,
+    number: int,
+) -> list[Candidate]:
+    """Variants of the best moves so far."""
+    best = sorted(judged, key=lambda one: one.separation.rank, reverse=True)
+    parents = [one.candidate.moves for one in best if one.candidate.moves is not None][:_VARIED]
+    return [
+        of_moves(
+            f"moves_{number + 2}_{i + 1}_{k + 1}", robot.approved,
+            parent.varied(random, moved), robot.seed,
+        )
+        for i, parent in enumerate(parents)
+        for k in range(_VARIANTS)
+    ]  # fmt: skip
+
+
+def _of_safe(
+    safe: Sequence[SafeMotion], judged: Sequence[Judged], separator: Separator
+) -> tuple[tuple[SafeMotion, Separation], ...]:
+    """Safe motions with their separation, the best first; scaled ones are simulated again."""
+    known = {one.motion.name: one for one in judged}
+    by_name = {one.motion.name: known[one.motion.name].separation for one in safe}
+    again = [
+        one.motion for one in safe
+        if not np.array_equal(known[one.motion.name].motion.position, one.motion.position)
+    ]  # fmt: skip
+    if again:
+        for motion, found in zip(again, separator.separations(again), strict=True):
+            by_name[motion.name] = found
+    both = [(one, by_name[one.motion.name]) for one in safe]
+    both.sort(key=lambda one: one[1].rank, reverse=True)
+    return tuple(both[:2])
+
+
+def _written(robot: ApprovedRobot, chosen: Chosen, twin: Path, out: Path) -> dict[str, Any]:
+    """Write the chosen motions: the best to fit, the second to hold out."""
+    roles: tuple[Role, ...] = ("fit", "held_out")
+    safe = tuple(
+        replace(one, motion=replace(one.motion, role=role))
+        for role, (one, _) in zip(roles, chosen.motions, strict=False)
+    )
+    excitation = Excitation(
+        robot.realization, replace(robot.approved, mechanisms=()), robot.noise, robot.regressor,
+        robot.base, safe, () if safe else chosen.refused, (), robot.seed,
+    )  # fmt: skip
+    written = write_motions(excitation, twin, out)
+    is_separated = bool(chosen.motions) and chosen.motions[0][1].probability >= DECIDED
+    written["document"]["verdict"] = "separable" if is_separated else "not_separable"
+    return written
+
+
+def _document(
+    robot: ApprovedRobot, rivals: tuple[Rival, Rival], noise: Noise, chosen: Chosen
+) -> dict[str, Any]:
+    """Section ``separation`` of ``excitation.json``."""
+    return {
+        "hypotheses": [
+            {
+                "name": rival.name,
+                "effect": rival.term.effect,
+                "joint": None if rival.term.joint < 0 else robot.approved.names[rival.term.joint],
+                "parameters": dict(truth),
+                "source": "diagnosis" if rival.diagnosed else "typical size",
+            }
+            for rival, truth in zip(rivals, chosen.truths, strict=True)
+        ],
+        "expected": [
+            _expected(rivals, one.motion.name, separation) for one, separation in chosen.motions
+        ],
+        "usual_motion": None
+        if chosen.usual is None
+        else _expected(rivals, chosen.usual.motion.name, chosen.usual.separation),
+        "needed": DECIDED,
+        "signals": " and ".join(
+            name
+            for name, own in (("positions", noise.position), ("efforts", noise.effort))
+            if own is not None
+        ),
+        "noise": {
+            joint.name: {
+                "position": _size(noise.position, at, joint.unit),
+                "effort": _size(noise.effort, at, joint.effort_unit),
+            }
+            for at, joint in enumerate(robot.approved.joints)
+        },
+        "tried": chosen.tried,
+    }
+
+
+def _expected(rivals: tuple[Rival, Rival], name: str, separation: Separation) -> Mapping[str, Any]:
+    """Expected odds of one motion, and how far the hypotheses differ if each is true."""
+    return {
+        "trajectory": name,
+        "probability": round(separation.probability, 4),
+        "log_odds": round(separation.log_odds, 2),
+        "if_true": {
+            rival.name: {
+                "log_odds": round(one.log_odds, 2),
+                "difference_in_noise": _rms(one.difference),
+            }
+            for rival, one in zip(rivals, separation.imitations, strict=True)
+        },
+    }
+
+
+def _rms(difference: FloatArray) -> float | None:
+    """RMS difference of the signal that differs most, in standard deviations of its noise."""
+    value = float(np.sqrt((difference**2).mean(axis=0)).max())
+    return round(value, 3) if np.isfinite(value) else None
+
+
+def _size(values: FloatArray | None, at: int, unit: str) -> dict[str, Any] | None:
+    return None if values is None else {"value": float(values[at]), "unit": unit}
