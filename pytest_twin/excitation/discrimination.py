@@ -191,7 +191,7 @@ def truths_of(responses: Responses, rivals: tuple[Rival, Rival]) -> tuple[Hypoth
     """Parameters of each hypothesis that are taken for true.
 
     They are those of a diagnosis, else typical ones. A hypothesis without parameters of a diagnosis
-    imitates the other one, because a motion has to tell apart what is similar; a law that contains
+    imitates the other one, because a motion has to distinguish similar laws; a law that contains
     the other one would only repeat it, and is taken with its own typical parameters.
     """
     first, second = rivals

@@ -1,4 +1,4 @@
-"""Read the two hypotheses that a motion has to tell apart, and what a diagnosis says of them."""
+"""Read the two hypotheses that a motion has to distinguish, and what a diagnosis says of them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Diagnosed:
 
 @dataclass(frozen=True)
 class Rival:
-    """One of the hypotheses that a motion has to tell apart.
+    """One of the hypotheses that a motion has to distinguish.
 
     Attributes:
         term: the effect and the column of its joint.
