@@ -133,7 +133,7 @@ def _stage(command: list[str], cwd: Path, seconds: float) -> str:
 
 def run(folder: Path, state: Path, full: int, seconds: float) -> None:
     """Add a line to the state file for each robot that is not in it."""
-    known = {line["path"]: line for line in _read(state)}
+    known = {line["path"]: line for line in read_state(state)}
     packages: dict[str, list[Path]] = {}
     for path in models(folder):
         packages.setdefault(path.relative_to(folder).parts[0], []).append(path)
@@ -146,21 +146,23 @@ def run(folder: Path, state: Path, full: int, seconds: float) -> None:
                 start = time.perf_counter()
                 line = {"path": name, "package": package, "loads": loads(child, path)}
                 known[name] = {**line, "seconds": round(time.perf_counter() - start, 2)}
-                _add(state, known[name])
+                add_line(state, known[name])
         names = [path.relative_to(folder).as_posix() for path in paths]
         loaded = [known[name] for name in names if known[name]["loads"]["here"] == "loads"]
-        left = [line for line in loaded if "stages" not in line and _moves(folder / line["path"])]
+        left = [
+            line for line in loaded if "stages" not in line and has_joints(folder / line["path"])
+        ]
         done = sum("stages" in line for line in loaded)
         for line in spread(left, full - done):
             known[line["path"]] = {
                 **line,
                 "stages": through_commands(folder / line["path"], seconds),
             }
-            _add(state, known[line["path"]])
+            add_line(state, known[line["path"]])
             print(line["path"], file=sys.stderr, flush=True)
 
 
-def _moves(path: Path) -> bool:
+def has_joints(path: Path) -> bool:
     """Whether a file contains a joint. Others are scenery, or parts that other files include."""
     return _JOINT.search(path.read_text(errors="replace")) is not None
 
@@ -171,7 +173,7 @@ def spread(lines: list[dict[str, Any]], count: int) -> list[dict[str, Any]]:
     return [lines[(2 * k + 1) * len(lines) // (2 * count)] for k in range(count)]
 
 
-def _read(state: Path) -> list[dict[str, Any]]:
+def read_state(state: Path) -> list[dict[str, Any]]:
     lines = state.read_text().splitlines() if state.is_file() else []
     found = {}
     for line in lines:
@@ -180,7 +182,7 @@ def _read(state: Path) -> list[dict[str, Any]]:
     return list(found.values())
 
 
-def _add(state: Path, line: dict[str, Any]) -> None:
+def add_line(state: Path, line: dict[str, Any]) -> None:
     with state.open("a") as stream:
         stream.write(json.dumps(line) + "\n")
 
@@ -255,7 +257,7 @@ def main() -> int:
     args = parser.parse_args()
     if args.folder is not None:
         run(args.folder.resolve(), args.state, args.full, args.seconds)
-    text = section(_read(args.state))
+    text = section(read_state(args.state))
     if args.table is None:
         print(text)
     else:

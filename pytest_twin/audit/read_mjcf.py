@@ -26,6 +26,7 @@ from pytest_twin.audit.asset import (
 from pytest_twin.audit.finding import LAYERS, Place, finding_of, from_error
 from pytest_twin.errors import ModelError, TwinError
 from pytest_twin.realization import inertia, mjcf
+from pytest_twin.realization.equality_rows import EqualityRows
 from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.inputs import joint_inputs
 from pytest_twin.realization.limits import LIMITS, ModelLimits
@@ -543,23 +544,12 @@ def _constrained(model: mujoco.MjModel) -> int:
 
     A singular pose removes fewer than others, so that the largest number counts.
     """
-    data = mujoco.MjData(model)
+    rows = EqualityRows(model)
     most = 0
     for pose in (model.qpos0, *model.key_qpos[:_MOST_KEYFRAMES]):
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_makeConstraint(model, data)
-        equality = data.efc_type[: data.nefc] == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-        rows = np.zeros((data.nefc, model.nv))
-        if data.nefc and mujoco.mj_isSparse(model):
-            mujoco.mju_sparse2dense(
-                rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
-            )
-        elif data.nefc:
-            rows = data.efc_J.reshape(data.nefc, model.nv)
-        if equality.any():
-            most = max(most, int(np.linalg.matrix_rank(rows[equality], tol=1e-6)))
+        _, jacobian = rows.at(pose)
+        if len(jacobian):
+            most = max(most, int(np.linalg.matrix_rank(jacobian, tol=1e-6)))
     return most
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import zlib
 from collections.abc import Iterable, Mapping
@@ -429,10 +428,10 @@ class _Coupled:
         Returns:
             Joints of the loops that remain open; empty if all are closed.
         """
-        mujoco = self._mujoco
-        model = copy.copy(self._model)
-        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-        data = mujoco.MjData(model)
+        from pytest_twin.realization.equality_rows import EqualityRows
+
+        mujoco, model = self._mujoco, self._model
+        rows = EqualityRows(model)
         dofs = np.array(
             [int(model.jnt_dofadr[i]) for name, i in self._joint.items() if name not in held],
             dtype=int,
@@ -441,16 +440,7 @@ class _Coupled:
         residual = np.empty(0)
         jacobian = np.empty((0, model.nv))
         for _ in range(100):
-            data.qpos[:] = qpos
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_tendon(model, data)
-            mujoco.mj_makeConstraint(model, data)
-            rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-            residual = data.efc_pos[rows]
-            # MuJoCo counts empty rows but does not fill them, so the array is longer.
-            filled = data.efc_J[: data.nefc * model.nv]
-            jacobian = filled.reshape(data.nefc, model.nv)[rows]
+            residual, jacobian = rows.at(qpos)
             if np.all(np.abs(residual) <= _CLOSED):
                 return frozenset()
             step = np.zeros(model.nv)

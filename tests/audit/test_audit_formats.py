@@ -312,3 +312,16 @@ def test_a_closed_chain_removes_degrees_of_freedom(tmp_path: Path) -> None:
     assert (free.total, free.constrained, free.independent) == (3, 2, 1)
     path.write_text(path.read_text().replace("<connect ", '<connect active="false" '))
     assert degrees_of_freedom(read(path)).independent == 3
+
+
+def test_a_finger_coupled_by_a_tendon_removes_a_degree_of_freedom(tmp_path: Path) -> None:
+    path = tmp_path / "finger.xml"
+    # A limit and dry friction of the tendon, as grippers have them, make further rows.
+    path.write_text("""<mujoco><worldbody><body><geom size=".02"/><joint name="a" axis="0 1 0"/>
+      <body pos="0 0 .1"><geom size=".02"/><joint name="b" axis="0 1 0" range="-1 1"/>
+      </body></body></worldbody>
+      <tendon><fixed name="t" limited="true" range="-5 5" frictionloss=".4">
+      <joint joint="a" coef=".4"/><joint joint="b" coef="-.4"/></fixed></tendon>
+      <equality><tendon tendon1="t"/></equality></mujoco>""")
+    free = degrees_of_freedom(read(path))
+    assert (free.total, free.constrained, free.independent) == (2, 1, 1)
