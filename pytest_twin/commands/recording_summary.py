@@ -16,6 +16,7 @@ from pytest_twin.formats.ros_serialization import QUANTITIES, Integers
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import make_trials
 from pytest_twin.trial.marks import describe_marks, marks_to_json
+from pytest_twin.trial.stream_checks import doubts
 from pytest_twin.words import join_words
 
 if TYPE_CHECKING:
@@ -75,6 +76,8 @@ def survey(
             }
             notes = list(dict.fromkeys(note for trial in trials for note in trial.notes))
             advice = _advice(recording)
+    if usable is None:
+        notes += doubts(recording)
     return {
         "recording": str(recording.path),
         "topics": [_topic(topic, recording) for topic in recording.topics],

@@ -21,6 +21,7 @@ from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
 from pytest_twin.trial import recordings_at
 from pytest_twin.trial.base_motion import base_motion
+from pytest_twin.trial.changed_meaning import meaning_changes
 from pytest_twin.trial.command_field import choose_command_fields
 from pytest_twin.trial.dropouts import without_dropouts
 from pytest_twin.trial.floating_base import check_floating_base, is_floating
@@ -361,6 +362,7 @@ def _checked_and_unwrapped(
     notes = unwrap_joints(motion, realization.structure, signals)
     _, copied = check_copies(motion)
     notes += copied
+    notes += meaning_changes(motion)
     if not notes:
         return read
     return replace(

@@ -21,6 +21,7 @@ from pytest_twin.recording_options import (
 )
 from pytest_twin.signals import Signals
 from pytest_twin.trial.base_motion import base_motion
+from pytest_twin.trial.changed_meaning import meaning_changes
 from pytest_twin.trial.clock import TimedMessages, on_one_clock
 from pytest_twin.trial.column_mistakes import column_mistakes
 from pytest_twin.trial.command_field import ChosenCommands, choose_command_fields
@@ -273,6 +274,8 @@ class _Maker:
             self.notes += unwrap_joints(motion, self.structure, self.signals)
         copies, copied = check_copies(motion) if compares_motion else (frozenset(), [])
         self.notes += copied
+        if compares_motion:
+            self.notes += meaning_changes(motion)
         for joint in copies:
             self.checks.mark("copied", topic, joint, time[0], time[-1], "copies of its commands")
         self.note_twice(topic, time)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries, Recording
+from pytest_twin.trial.changed_meaning import meaning_changes
 from pytest_twin.trial.dropouts import without_dropouts
 from pytest_twin.trial.table import stamp_order
 from pytest_twin.trial.trial import Trial
@@ -142,27 +144,40 @@ def doubts(recording: Recording) -> list[str]:
     notes: list[str] = []
     try:
         notes += without_dropouts(recording).notes[len(recording.notes) :]
-        if commands is not None and commands.position is not None:
+        if commands is None or commands.position is None:
+            notes += meaning_changes(_motion(recording, states, None))
+        else:
             motion = _motion(recording, states, commands)
             refuse_other_scale(motion)
             notes += check_copies(motion)[1]
+            notes += meaning_changes(motion)
     except RecordingError as error:
         notes.append(f"{error.where}: {error.problem} ({error.value})" if error.value else
                      f"{error.where}: {error.problem}")  # fmt: skip
     return [note.replace("left out, positions", "positions") for note in notes]
 
 
-def _motion(recording: Recording, states: JointSeries, commands: JointSeries) -> RecordedMotion:
-    seen, sent = stamp_order(states.stamp), stamp_order(commands.stamp)
+def _motion(
+    recording: Recording, states: JointSeries, commands: JointSeries | None
+) -> RecordedMotion:
+    """Positions, with the position commands where there are some."""
+    seen = stamp_order(states.stamp)
     start = int(states.stamp[seen[0]])
-    return RecordedMotion(
+    motion = RecordedMotion(
         recording.path, states.topic, states.names,
         np.asarray((states.stamp[seen] - start) * 1e-9, dtype=np.float64),
         np.asarray(states.position, dtype=np.float64)[seen],
-        np.asarray((commands.stamp[sent] - start) * 1e-9, dtype=np.float64),
-        np.asarray(commands.position, dtype=np.float64)[sent],
-        {name: at for at, name in enumerate(commands.names)},
+        np.empty(0), np.empty((0, 0)), {},
     )  # fmt: skip
+    if commands is None:
+        return motion
+    sent = stamp_order(commands.stamp)
+    return replace(
+        motion,
+        command_time=np.asarray((commands.stamp[sent] - start) * 1e-9, dtype=np.float64),
+        command=np.asarray(commands.position, dtype=np.float64)[sent],
+        command_columns={name: at for at, name in enumerate(commands.names)},
+    )
 
 
 def _units(ratio: float) -> str:
