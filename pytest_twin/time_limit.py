@@ -5,7 +5,7 @@ The loops of an estimation ask :func:`is_over`, and return their best result so 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 
@@ -22,6 +22,8 @@ class TimeLimit:
         begin: reading of the clock from which the limit counts; the present one by default.
 
     Attributes:
+        clock: function that returns the processor time so far, s.
+        begin: its reading from which the limit counts.
         not_tried: work that was not begun, or not finished, because the run had to end.
     """
 
@@ -32,8 +34,8 @@ class TimeLimit:
         begin: float | None = None,
     ) -> None:
         self.seconds = seconds
-        self._clock = clock
-        self._start = clock() if begin is None else begin
+        self.clock = clock
+        self.begin = clock() if begin is None else begin
         self._ended = ""
         self._is_stopped = False
         self.not_tried: list[str] = []
@@ -44,7 +46,7 @@ class TimeLimit:
             return True
         if is_stop_requested():
             self._ended, self._is_stopped = "it was stopped", True
-        elif self.seconds and self._clock() - self._start > self.seconds:
+        elif self.seconds and self.clock() - self.begin > self.seconds:
             self._ended = f"its {self.seconds:g} processor seconds were over"
         return bool(self._ended)
 
@@ -57,6 +59,16 @@ class TimeLimit:
         if self.is_over() and what not in self.not_tried:
             self.not_tried.append(what)
         return bool(self._ended)
+
+    def left_out(self, works: Sequence[str]) -> None:
+        """Note work that a part of the run left out, because its own share of the time was over.
+
+        Args:
+            works: names of the work, for the reader.
+        """
+        if works and not self.is_over():
+            self._ended = f"its {self.seconds:g} processor seconds were over"
+        self.not_tried += [what for what in works if what not in self.not_tried]
 
     def note(self, otherwise: str = "") -> str:
         """Why the run ended early, what it did not try, and what to do; empty if it did not.

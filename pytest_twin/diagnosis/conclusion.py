@@ -126,9 +126,9 @@ def _evaluate(
     problem = prepared.problem
     at_tested = Explanation(
         found.explanation.findings,
-        _hypothesis_at_tested_joints(found.explanation.hypothesis, column),
+        hypothesis_at_tested_joints(found.explanation.hypothesis, column),
         reduced_models={
-            _term_at_tested_joints(t, column): _hypothesis_at_tested_joints(rest, column)
+            _term_at_tested_joints(t, column): hypothesis_at_tested_joints(rest, column)
             for t, rest in found.explanation.reduced_models.items()
             if _is_tested(t, column)
         },
@@ -200,7 +200,7 @@ def _term_at_tested_joints(term: Term, column: Mapping[int, int]) -> Term:
     return Term(term.effect, column.get(term.joint, -1))
 
 
-def _hypothesis_at_tested_joints(hypothesis: Hypothesis, column: Mapping[int, int]) -> Hypothesis:
+def hypothesis_at_tested_joints(hypothesis: Hypothesis, column: Mapping[int, int]) -> Hypothesis:
     """A hypothesis in the numbering of the tested joints, without terms at other joints."""
     tested = hypothesis.without(*(t for t in hypothesis.terms if not _is_tested(t, column)))
     return Hypothesis(tuple(_term_at_tested_joints(t, column) for t in tested.terms), tested.theta)

@@ -9,24 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin.diagnosis.budget import SEARCH_SHARE
 from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
 from pytest_twin.diagnosis.conclusion import ChosenModel, evaluate_on_test
 from pytest_twin.diagnosis.cost import Cost, measure_cost
 from pytest_twin.diagnosis.findings import Explanation, finding_json
 from pytest_twin.diagnosis.longest_windows import LongWindows, errors_over_longest_windows
-from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel
-from pytest_twin.diagnosis.prepare import PreparedProblem, shared_joints
-from pytest_twin.diagnosis.roles import Roles, roles_of
+from pytest_twin.diagnosis.prepare import PreparedProblem
+from pytest_twin.diagnosis.roles import Roles
 from pytest_twin.diagnosis.run import Run, describe_skipped_searches
-from pytest_twin.diagnosis.search_recordings import find_structure
 from pytest_twin.diagnosis.search_result import SearchResult
-from pytest_twin.diagnosis.signal_meaning import (
-    RecordedSignals,
-    determine_signals,
-    with_interpolation_uncertainty,
-)
+from pytest_twin.diagnosis.searched_trials import search_trials
+from pytest_twin.diagnosis.signal_meaning import RecordedSignals, with_interpolation_uncertainty
 from pytest_twin.diagnosis.trace import Trace
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.unexplained import UnexplainedResidual, locate_unexplained
@@ -38,7 +32,6 @@ from pytest_twin.diagnosis.unnamed_law.confirmation import (
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
 from pytest_twin.diagnosis.verdict import JointError, Verdict, stated_verdict
 from pytest_twin.diagnosis.window_length import window_of_errors
-from pytest_twin.diagnosis.windows import Cutting, segments_of
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
@@ -187,30 +180,13 @@ def diagnose(
     """
     since = time.perf_counter()
     run = Run() if run is None else run
-    setup, known = ModelSetup.of(realization, inherited, threads), roles_of(trials).of_search
-    with run.budget.searching(SEARCH_SHARE):
-        signals = run.attempt(
-            "what the commands and efforts of the recordings are",
-            lambda: determine_signals(setup, known), RecordedSignals(),
-        )  # fmt: skip
-    as_recorded, trials = trials, signals.apply(trials)
-    roles = roles_of(trials)
-    undetermined = signals.undetermined(roles.of_search.fit)
-    for i, trial in enumerate(roles.test):
-        # A test recording that the model cannot replay is reported before the search of minutes.
-        joints = shared_joints(realization, [trial])
-        segments_of(realization, trial, i, joints, Cutting(skips_hole=True))
+    searched = search_trials(
+        realization, trials, run, inherited=inherited, threads=threads, progress=progress
+    )
+    signals, trials, roles = searched.signals, searched.trials, searched.roles
+    structure, undetermined = searched.structure, searched.undetermined
     # Simulations of candidates may diverge and overflow; such candidates are ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
-        structure = find_structure(
-            realization, roles.of_search,
-            inherited=inherited, threads=threads, run=run, progress=progress,
-            possible=() if undetermined is None else undetermined.possible,
-        )  # fmt: skip
-        if undetermined is not None and structure.between is not None:
-            signals = signals.with_decision(undetermined, structure.between)
-            trials, undetermined = signals.apply(as_recorded), None
-            roles = roles_of(trials)
         progress(0.85)
         laws = _fit_laws_to_residual(structure, run)
         progress(0.88)

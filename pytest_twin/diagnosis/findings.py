@@ -98,12 +98,14 @@ class Explanation:
         hypothesis: all terms with their parameters.
         notes: one line each, for the reader.
         reduced_models: term -> hypothesis of the other terms, refitted without it.
+        uncertainty: of the parameters of the fit; None without parameters.
     """
 
     findings: tuple[Finding, ...]
     hypothesis: Hypothesis
     notes: list[str] = field(default_factory=list)
     reduced_models: Mapping[Term, Hypothesis] = field(default_factory=dict)
+    uncertainty: ParameterUncertainty | None = None
 
 
 def build_explanation(
@@ -172,7 +174,7 @@ def build_explanation(
         )
     found.sort(key=lambda f: -f.influence)
     reduced_models = dict(zip(hypothesis.terms, named.reduced_models, strict=True))
-    return Explanation(tuple(found), hypothesis, notes, reduced_models)
+    return Explanation(tuple(found), hypothesis, notes, reduced_models, uncertainty)
 
 
 def _is_worth_listing(alternative: AlternativeEffects) -> bool:

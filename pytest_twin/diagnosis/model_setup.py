@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pytest_twin.diagnosis.patched.delays import effects_outside_mjcf, without_delays
 from pytest_twin.diagnosis.patched.model import AppliedEffect, PatchedModel
@@ -14,6 +14,7 @@ from pytest_twin.diagnosis.prepare import (
     prepare,
     shared_joints,
 )
+from pytest_twin.diagnosis.problem import CandidateMask
 from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.estimation.hypothesis import Scales
@@ -37,6 +38,7 @@ class ModelSetup:
         is_of_robot: whether the metadata of all recordings name a robot as their source. No
             simulation is then searched for.
         threads: threads of the simulation, 0 for all cores.
+        mask: effects among which a search chooses; None for all.
     """
 
     realization: Realization
@@ -46,6 +48,7 @@ class ModelSetup:
     substeps: int = 0
     is_of_robot: bool = False
     threads: int = 0
+    mask: CandidateMask | None = None
 
     @classmethod
     def of(
@@ -83,7 +86,7 @@ class ModelSetup:
         Arguments and errors are those of :func:`~pytest_twin.diagnosis.prepare.prepare`.
         """
         joints = shared_joints(self.realization, (*fit, *held_out))
-        return prepare(
+        prepared = prepare(
             self.realization, fit, held_out,
             threads=self.threads, window=window, contact=contact,
             settings=SimulationSettings(
@@ -91,3 +94,4 @@ class ModelSetup:
                 self.has_friction_creep, self.substeps, scales,
             ),
         )  # fmt: skip
+        return replace(prepared, problem=replace(prepared.problem, mask=self.mask))

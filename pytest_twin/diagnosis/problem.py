@@ -64,6 +64,32 @@ _Key = tuple[tuple[Term, ...], bytes]
 
 
 @dataclass(frozen=True, slots=True)
+class CandidateMask:
+    """The effects among which a search chooses.
+
+    Attributes:
+        effects: their ids.
+        given: ids of those that every model has, such as friction and the gains of a servo.
+        last: ids of further effects, which are candidates once a search with the others has ended
+            and a residual remains.
+        unchanged_joints: names of joints that get no effect of their own.
+    """
+
+    effects: frozenset[str]
+    given: frozenset[str] = frozenset()
+    last: frozenset[str] = frozenset()
+    unchanged_joints: frozenset[str] = frozenset()
+
+    def allows(self, effect: str, joint: str | None = None) -> bool:
+        """Whether an effect is a candidate at a joint; None for the whole robot."""
+        return effect in self.effects and joint not in self.unchanged_joints
+
+    def with_last(self) -> CandidateMask:
+        """The mask with all effects as candidates."""
+        return replace(self, effects=self.effects | self.last, last=frozenset())
+
+
+@dataclass(frozen=True, slots=True)
 class _Corrections:
     """What :meth:`Problem.at` computes at one hypothesis."""
 
@@ -113,7 +139,7 @@ class Problem:
         discretization_error: segment -> discretization error of one hypothesis. Every prediction
             is corrected by it (defect correction, Stetter 1978).
         step_left: share of the discretization error that remains after the correction, 0 to 1.
-        family: only effects of this family are candidates; None for all.
+        mask: effects that are candidates; None for all.
         starts: segment -> free initial state of the same hypothesis, if an error of the initial
             state would grow.
         find_starts: computes ``starts`` for a hypothesis; None if all initial states are fixed.
@@ -136,7 +162,7 @@ class Problem:
     find_starts: Callable[[Hypothesis], FreeInitialStates] | None = None
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
     step_left: float = PREPARE.step_left
-    family: str | None = None
+    mask: CandidateMask | None = None
     memory: ProblemMemory = field(default_factory=ProblemMemory, repr=False)
 
     @property

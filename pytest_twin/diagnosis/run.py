@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
 from pytest_twin.diagnosis.likely_effect import LikelyEffect
-from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.problem import CandidateMask, Problem
 from pytest_twin.diagnosis.trace import Decision, Step, Trace, effect_names
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
@@ -36,6 +36,9 @@ class Run:
         skipped_searches: searches that were skipped because time or simulations ran out, one line
             each.
         first_answer: effects of the quick diagnosis that preceded the search.
+        first_values: function that returns the hypothesis with which the searches of a problem
+            begin, instead of a first answer; None without one.
+        mask: effects among which the searches choose; None for all.
     """
 
     def __init__(self, budget: Budget | None = None, trace: Trace | None = None) -> None:
@@ -43,6 +46,8 @@ class Run:
         self.trace = Trace() if trace is None else trace
         self.skipped_searches: list[str] = []
         self.first_answer: Sequence[LikelyEffect] = ()
+        self.first_values: Callable[[Problem], Hypothesis] | None = None
+        self.mask: CandidateMask | None = None
 
     @property
     def is_over(self) -> bool:

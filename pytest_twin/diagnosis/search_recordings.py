@@ -93,7 +93,7 @@ def find_structure(
     """
     run = Run() if run is None else run
     notes: list[str] = []
-    setup = ModelSetup.of(realization, inherited, threads)
+    setup = replace(ModelSetup.of(realization, inherited, threads), mask=run.mask)
     progress(0.02)
     trials = replace(trials, fit=(*trials.fit, *trials.held_out), held_out=())
     trials = drop_other_units(realization, trials, notes)
@@ -136,7 +136,10 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
     """
     setup, prepared, trials = whole.setup, whole.prepared, whole.trials
     problem = prepared.problem
-    first = start = hypothesis_of(problem, run.first_answer) or EMPTY
+    first = hypothesis_of(problem, run.first_answer) or EMPTY
+    if run.first_values is not None:
+        first = run.first_values(problem)
+    start = first
     contact = problem.simulator.models.contact
     if contact.world.size:
         with contextlib.suppress(RecordingError):
@@ -147,7 +150,7 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
             start = _rescaled(of_motion, problem, away.problem)
             found = _search(far, run, "windows far from contact", [start], _WHOLE_SHARE)
             start = _rescaled(found.incumbent.hypothesis, away.problem, problem)
-    elif not _follows(problem, EMPTY):
+    elif run.first_values is None and not _follows(problem, EMPTY):
         cut = _followed_windows(setup, prepared, trials)
         stage = f"windows of {cut.prepared.window:.2g} s"
         in_windows = _search(
@@ -162,7 +165,7 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
     both = start
     for term in first.terms:
         both = both if term in both.terms else both.with_term_of(first, term)
-    found = _search(whole, run, "whole recordings", [first, start, both])
+    found = _with_last_effects(_search(whole, run, "whole recordings", [first, start, both]), run)
     for _ in range(_LOWER_FLOORS):
         physics, best = found.physics, found.incumbent.hypothesis
         assert isinstance(physics, SimulatedPhysics)
@@ -180,6 +183,23 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
             SimulatedPhysics(setup, windows, kept), run, f"windows of {WINDOW:.2g} s", [best]
         )
     return found
+
+
+def _with_last_effects(found: SearchOutcome, run: Run) -> SearchOutcome:
+    """The search continued with the last effects of its mask, if more than noise remains."""
+    physics = found.physics
+    assert isinstance(physics, SimulatedPhysics)
+    problem, mask = physics.prepared.problem, physics.problem.mask
+    limit = (VERDICT.identifiable * physics.floor) ** 2
+    remains = bool((found.incumbent.mean_square > limit).any())
+    if mask is None or not mask.last or not remains or not found.is_complete:
+        return found
+    wider = SimulatedPhysics(
+        replace(physics.setup, mask=mask.with_last()),
+        replace(physics.prepared, problem=replace(problem, mask=mask.with_last())),
+        physics.trials, physics.possible, noise_of=physics.problem, between=physics.between,
+    )  # fmt: skip
+    return _search(wider, run, "effects that no stage has", [found.incumbent.hypothesis])
 
 
 def _is_unpredictable(found: SearchOutcome) -> bool:
@@ -293,7 +313,7 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
     start = found.incumbent.hypothesis
     while True:
         found = replace(found, incumbent=_refit(physics, found, start, is_late=is_late))
-        best = best_named(found, _inexpressible, lambda h: not physics.refusals(h))
+        best = best_named(found, _inexpressible, physics.is_possible)
         if best is not found.incumbent.hypothesis:
             found = replace(found, incumbent=_refit(physics, found, best, is_late=is_late))
         model = found.incumbent
@@ -304,14 +324,13 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
             for t, f in zip(model.hypothesis.terms, refitted, strict=True)
         }
         rejected = rejections(
-            model, found.nominal, without, parameter_uncertainty(here, fitted),
-            physics.floor, physics.refusals(model.hypothesis), len(physics.joints),
-        )  # fmt: skip
+            model, found.nominal, without, parameter_uncertainty(here, fitted), physics
+        )
         if not rejected:
             break
         notes += [f"rejected: {label(problem, t)}: {why}" for t, why in rejected.items()]
         start = model.hypothesis.without(*rejected)
-    shares = posterior(found, lambda h: not physics.refusals(h))
+    shares = posterior(found, physics.is_possible)
     named = NamedModel(fitted, [f.hypothesis for f in refitted], shares, notes)
     return build_result(physics.prepared, physics.trials, named, found.comparison.candidates)
 

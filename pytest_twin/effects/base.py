@@ -398,10 +398,9 @@ class Effect:
         dry_friction_level: name of the parameter that is a constant level of dry friction; None
             without one.
         candidate: whether the search proposes it.
-        stage: stage of an identification that tries it. Those of ``closed_loop`` are tried after
-            all stages, if the held-out residual is above the noise floor.
-        basic_modes: command modes of a joint under which its stage fits it from the start;
-            otherwise the stage adds it if it lowers the held-out error.
+        stage: stage of an identification that reports it. Those of ``closed_loop`` are candidates
+            once a search with the others has ended and a residual remains.
+        basic_modes: command modes of a joint under which every robot has it, such as friction.
         mjcf_field: attribute of an MJCF joint to which its one parameter is added, one of
             ``JOINT_FIELDS``; empty without one.
         regressor_symbol: symbol of its one parameter in the literature, where the effort of the

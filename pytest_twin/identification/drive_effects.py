@@ -16,6 +16,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.intervals import ParameterUncertainty
+from pytest_twin.diagnosis.passive_joints import impossible
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
@@ -32,9 +33,8 @@ from pytest_twin.identification.simulation.identify_by_simulation import (
     SimulationResult,
     identify_simulation,
 )
-from pytest_twin.identification.simulation.passive_joints import impossible
 from pytest_twin.identification.simulation.stage_effects import StagePlan
-from pytest_twin.identification.simulation.stage_fit import with_derivatives
+from pytest_twin.identification.simulation.stage_tests import with_derivatives
 from pytest_twin.identification.stages import Stage
 from pytest_twin.identification.write import Patches
 from pytest_twin.realization import Realization
@@ -47,8 +47,6 @@ _FOLLOWS = 0.01
 """Systematic difference from the law of a servo, relative to the effort's deviation, up to which an
 effort follows it. It is 0 to 0.1 % for a servo, and 1.6 % or more with a dead zone of 2 % of the
 largest effort."""
-_STAGES = 2
-"""Number of stages of a complete fit: the drives, and all parameters together."""
 _DIGITS = 1e-5
 """Relative accuracy of numbers in an MJCF file."""
 
@@ -166,8 +164,11 @@ def fit_drives(
             plan=StagePlan.after_effort(frozenset(one.joint for one in recordings.known)),
         )  # fmt: skip
         problem = found.prepared.problem
-        is_complete = len(found.stages) == _STAGES
-        if not is_complete or not found.hypothesis.terms or impossible(problem, found.hypothesis):
+        if (
+            not found.is_complete
+            or not found.hypothesis.terms
+            or impossible(problem, found.hypothesis)
+        ):
             return None
         patched = write_realization(
             folder, fitted, problem, found.hypothesis, inherited,

@@ -35,6 +35,7 @@ class LinearPhysics:
         lengths, recordings: samples and recording of each segment.
         before_simulation: called with the number of hypotheses before they are simulated.
         refused: whether a hypothesis is refused.
+        given: effects that every model of the search has.
     """
 
     joints: Sequence[str]
@@ -44,6 +45,7 @@ class LinearPhysics:
     recordings: Sequence[int]
     before_simulation: Callable[[int], None] = lambda count: None
     refused: Callable[[Hypothesis], Mapping[Term, str]] = lambda hypothesis: {}
+    given: Sequence[Term] = ()
     simulations: int = field(default=0, init=False)
 
     @property

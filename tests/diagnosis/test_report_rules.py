@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from pytest_twin.diagnosis.intervals import ParameterUncertainty
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.search.model import Model
 from pytest_twin.diagnosis.search.posterior import NamedModel, Posterior
-from pytest_twin.diagnosis.search.report_rules import contains_absence, rejections
+from pytest_twin.diagnosis.search.report_rules import absent_together, contains_absence, rejections
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import fit
@@ -53,10 +56,13 @@ def test_an_effect_carries_a_name_if_it_is_possible_present_and_explains_its_mis
     """Errors are in noise floors; the nominal model is at 20."""
     model = fitted(EMPTY.with_term(DRAG, np.array([1.0])), np.ones((4, 1, 1)), remaining)
     nominal = fitted(EMPTY, np.zeros((4, 1, 0)), 20.0)
+    refused = {DRAG: "its total would be below zero"} if is_impossible else {}
+    physics: Any = SimpleNamespace(
+        floor=np.ones(1), joints=["left"], given=(), refusals=lambda hypothesis: refused
+    )
     found = rejections(
-        model, nominal, {DRAG: np.array([without**2])}, interval(half_width), np.ones(1),
-        {DRAG: "its total would be below zero"} if is_impossible else {}, 1,
-    )  # fmt: skip
+        model, nominal, {DRAG: np.array([without**2])}, interval(half_width), physics
+    )
     assert set(found) == (set() if reason is None else {DRAG})
     if reason is not None:
         assert reason in found[DRAG]
@@ -134,3 +140,16 @@ def test_findings_are_sorted_by_the_change_of_the_prediction_without_them(tmp_pa
     found = build_explanation(prepared, named, trials).findings
     assert [f.effect for f in found] == ["viscous_friction", "command_delay"]
     assert found[0].influence > 2.0 * found[1].influence > 0.0
+
+
+def test_of_two_effects_with_one_cause_only_one_may_be_absent() -> None:
+    """The damping of the joint and of its servo: their sum is known, neither of them alone."""
+    servo = Term("controller_gain", 0)
+    hypothesis = EMPTY.with_term(DRAG, np.array([0.5])).with_term(servo, np.array([0.0, 0.5]))
+    random = np.random.default_rng(2)
+    motion, stiffness = random.standard_normal((2, 400, 1))
+    model = fitted(hypothesis, np.stack([motion, stiffness, motion], axis=2), 1.0)
+    known = ParameterUncertainty(np.array([9.0, 0.1, 9.0]), np.eye(3), np.eye(3), 2.0, np.eye(3))
+    assert absent_together(model, [DRAG, servo], known, np.ones(1)) == [DRAG]
+    without_cause = replace(model, hypothesis=hypothesis.with_theta(np.array([0.5, 0.0, -0.5])))
+    assert absent_together(without_cause, [DRAG, servo], known, np.ones(1)) == [DRAG, servo]

@@ -22,7 +22,8 @@ from approved_arms import approved_for_arm, write_twin
 from arms import REAL, TRUE, write_model, write_recording
 from fourier_motion import fourier, needed_effort
 from plants import model, record
-from test_further_effects import found_by_a_stage
+from test_further_effects import write_trial
+from test_identify_simulation import MODEL, NOMINAL
 
 from pytest_twin.adaptation.recursive import Recursion, track
 from pytest_twin.adaptation.updated_parameters import base_parameters
@@ -34,7 +35,7 @@ from pytest_twin.effects import catalogue
 from pytest_twin.errors import SpecError
 from pytest_twin.excitation.excite import excite
 from pytest_twin.identification.identify_files import identify_files
-from pytest_twin.identification.simulation.stage_effects import StagePlan, further_effects
+from pytest_twin.identification.simulation.stage_effects import StagePlan
 from pytest_twin.open_loop import row_of
 from pytest_twin.ranges.gather import collect_uncertain_parameters
 from pytest_twin.realization import load
@@ -159,16 +160,30 @@ def test_excite_predicts_how_well_the_law_is_determined(installed: None, tmp_pat
     assert predicted["elbow.vane_drag"].unit == "N*m*s^2/rad^2"
 
 
-def test_identification_by_simulation_tries_the_law(installed: None, tmp_path: Path) -> None:
-    assert "vane_drag" in StagePlan().further["friction"]
-    assert "vane_drag" in StagePlan.after_effort(frozenset()).further["closed_loop"]
+def test_identification_by_simulation_finds_the_law(installed: None, tmp_path: Path) -> None:
+    """From commands and positions alone; the written model has the law."""
+    assert StagePlan.after_effort(frozenset()).stage_of["vane_drag"] == "closed_loop"
     drag = 0.3
-    _, found = found_by_a_stage(
-        tmp_path,
-        lambda: lambda effort, velocity: effort - drag * max(velocity, 0.0) ** 2,
-        further_effects("friction"),
-    )
-    assert [term.effect for term in found.terms] == ["vane_drag"]
+    (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
+    *fit, held = (
+        str(write_trial(
+            tmp_path / f"{seed}.csv", seed,
+            lambda effort, velocity: effort - drag * max(velocity, 0.0) ** 2,
+        ))
+        for seed in (1, 2, 3)
+    )  # fmt: skip
+    (tmp_path / "out").mkdir()
+    document = identify_files({
+        "model": str(tmp_path / "model.xml"), "recordings": fit, "held_out": [held],
+        "out": str(tmp_path / "out"), "name": "out", "options": {"command_between": "held"},
+    })  # fmt: skip
+    found = document["parameters"]["swing.vane_drag"]
+    assert found["value"] == pytest.approx(drag, rel=0.05)
+    assert found["ci95"][0] <= drag <= found["ci95"][1]
+    assert found["stage"] == "friction"
+    patched = read_patched_model(load_written(tmp_path / "out/realization"))
+    assert patched is not None
+    assert [one.effect for one in patched.effects if not one.is_in_mjcf] == ["vane_drag"]
 
 
 def test_adaptation_updates_the_law(installed: None, tmp_path: Path) -> None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_further_effects import Drive, found_by_the_drive_stage
+from test_further_effects import Drive, by_the_drive_stage
 from test_identify_simulation import NOMINAL
 
+from pytest_twin.diagnosis.passive_joints import impossible, with_largest_back_emf
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.identification.simulation.passive_joints import impossible, with_largest_back_emf
-from pytest_twin.identification.simulation.stage_fit import held_out_error
 
 DAMPING = NOMINAL["damping"]
 ROLLOFF, DRAG = Term("torque_rolloff", 0), Term("viscous_friction", 0)
@@ -43,9 +42,16 @@ def back_emf_of(problem: Problem, hypothesis: Hypothesis) -> float:
     return float(hypothesis.theta[at]) * problem.scales.value(ROLLOFF.parameters[1], 0)
 
 
+def cost(problem: Problem, hypothesis: Hypothesis) -> float:
+    """Mean squared residual of the fitted recordings."""
+    (residual,) = problem.at(hypothesis).residuals([hypothesis], problem.fit)
+    return float(np.mean(residual**2))
+
+
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Hypothesis]:
-    return found_by_the_drive_stage(tmp_path_factory.mktemp("cell"), with_rolloff)
+    result = by_the_drive_stage(tmp_path_factory.mktemp("cell"), with_rolloff)
+    return result.prepared.problem, result.hypothesis
 
 
 def test_the_drive_stage_bounds_the_back_emf_by_the_damping(
@@ -55,7 +61,7 @@ def test_the_drive_stage_bounds_the_back_emf_by_the_damping(
     # Other effects may compensate for a part of what the bound leaves.
     assert ROLLOFF in drive.terms
     # The recordings alone would determine more than the whole damping.
-    assert held_out_error(problem, rolloff(problem, BACK_EMF)) < held_out_error(problem, drive)
+    assert cost(problem, rolloff(problem, BACK_EMF)) < cost(problem, drive)
     assert back_emf_of(problem, drive) == pytest.approx(DAMPING, rel=1e-6)
     assert not impossible(problem, drive)
 
@@ -64,13 +70,10 @@ def test_the_other_parameters_are_fitted_with_the_back_emf_at_its_bound(
     found: tuple[Problem, Hypothesis],
 ) -> None:
     problem, drive = found
-
-    def cost(hypothesis: Hypothesis) -> float:
-        (residual,) = problem.at(hypothesis).residuals([hypothesis], problem.fit)
-        return float(np.mean(residual**2))
-
-    others = [cost(rolloff(problem, DAMPING, knee)) for knee in np.linspace(1.0, 3.0, 41)]
-    assert cost(drive) < 1.001 * min(others)
+    inverse_knee = ROLLOFF.parameters[0]
+    least = 1.0 / (inverse_knee.upper * problem.scales.value(inverse_knee, 0))
+    others = [cost(problem, rolloff(problem, DAMPING, k)) for k in np.linspace(least, 3.0, 21)]
+    assert cost(problem, drive) < 1.001 * min(others)
 
 
 @pytest.mark.parametrize("added", [0.0, 0.1, -0.02])

@@ -30,7 +30,6 @@ from pytest_twin.identification.effort.identify_effort import identify_effort
 from pytest_twin.identification.effort.servo_gains import servo_gains
 from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.identification.measured_recordings import MeasuredRecordings, read_measured
-from pytest_twin.identification.simulation import staged_fit
 from pytest_twin.realization import load
 from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS
@@ -145,21 +144,6 @@ def test_a_dead_zone_is_identified_and_only_the_realization_contains_it(tmp_path
     (note,) = (one for one in document["notes"] if "only realization/ contains" in one)
     assert "dead_zone of swing" in note
     assert "name the folder of this identification as its model:" in note
-
-
-def test_one_stage_tries_its_effects_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    tried: list[list[str]] = []
-    add = staged_fit.add_effects
-
-    def counted(problem: Any, base: Any, effects: Any, modes: Any) -> Any:
-        tried.append(list(effects))
-        return add(problem, base, [], modes)
-
-    monkeypatch.setattr(staged_fit, "add_effects", counted)
-    identified(tmp_path, limited(1.0))
-    of_drive, together = tried
-    assert {"dead_zone", "torque_saturation", "torque_speed_limit"} <= set(of_drive)
-    assert not set(of_drive) & set(together)
 
 
 def test_a_servo_whose_effort_follows_its_law_gets_no_further_effects(tmp_path: Path) -> None:

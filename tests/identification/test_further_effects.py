@@ -1,33 +1,25 @@
-"""A stage adds further effects only where they lower the held-out error."""
+"""The effects of drives that recordings of commands and positions show."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from test_identify_simulation import MODEL, NOMINAL, REAL
 
-from pytest_twin import cli
-from pytest_twin.diagnosis.build_problem import build_problem
-from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.problem import Problem
-from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import read_trials
-from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
-from pytest_twin.identification.simulation import identify_by_simulation
-from pytest_twin.identification.simulation.stage_effects import StagePlan, further_effects
-from pytest_twin.identification.simulation.stage_fit import add_effects, held_out_error
+from pytest_twin.identification.simulation.identify_by_simulation import (
+    SimulationResult,
+    identify_simulation,
+)
+from pytest_twin.identification.simulation.stage_effects import StagePlan, effects_of
 from pytest_twin.realization import load
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.twin import DEFAULT_TOPICS
-
-pytestmark = pytest.mark.usefixtures("commands_in_process")
 
 STEPS = 80
 """Steps between two samples: the identification allows for the error of the model's own step."""
@@ -103,34 +95,44 @@ def write_trial(path: Path, seed: int, drive: Drive, robot: Mapping[str, float] 
     return path
 
 
-def found_by_the_drive_stage(
-    folder: Path, drive: Callable[[], Drive]
-) -> tuple[Problem, Hypothesis]:
-    """The effects that the drive stage adds for recordings of a drive."""
-    return found_by_a_stage(folder, drive, further_effects("drive"))
-
-
-def found_by_a_stage(
-    folder: Path, drive: Callable[[], Drive], effects: Sequence[str]
-) -> tuple[Problem, Hypothesis]:
-    """Those of the effects that a stage adds for recordings of a drive."""
+def identified(
+    folder: Path,
+    drive: Callable[[], Drive],
+    robot: Mapping[str, float] = NOMINAL,
+    plan: StagePlan | None = None,
+) -> SimulationResult:
+    """The identification from two runs of a drive, and a third one that is held out."""
     (folder / "model.xml").write_text(MODEL.format(**NOMINAL))
     *fit, held = (
-        write_trial(folder / f"{name}.csv", seed, drive()) for seed, name in enumerate("abc", 1)
+        write_trial(folder / f"{name}.csv", seed, drive(), robot)
+        for seed, name in enumerate("abc", 1)
     )
-    robot = load(folder / "model.xml")
+    model = load(folder / "model.xml")
     options = RecordingOptions.from_json({"command_between": "held"})
-    trials = read_trials(fit, [held], DEFAULT_TOPICS, robot.structure, options)
-    setup = ModelSetup.of(robot, None, 1)
-    used = determine_signals(setup, trials).apply(trials)
-    prepared, _ = build_problem(setup, used, [])
-    problem = prepared.problem
-    return problem, add_effects(problem, EMPTY, effects, ["position"])
+    trials = read_trials(fit, [held], DEFAULT_TOPICS, model.structure, options)
+    return identify_simulation(model, trials, threads=1, plan=plan)
+
+
+def by_the_drive_stage(folder: Path, drive: Callable[[], Drive]) -> SimulationResult:
+    """The identification of a drive alone."""
+    plan = StagePlan(("drive",), dict.fromkeys(effects_of("drive"), "drive"))
+    return identified(folder, drive, plan=plan)
+
+
+def reported(result: SimulationResult) -> dict[str, float]:
+    """Reported parameters, SI units."""
+    problem, found = result.prepared.problem, result.hypothesis
+    return {
+        f"{term.effect}.{p.reported_name}": p.reported(
+            float(x) * problem.scales.value(p, term.joint)
+        )
+        for term in found.terms
+        for p, x in zip(term.parameters, found.theta[found.slice_of(term)], strict=True)
+    }
 
 
 def test_the_drive_stage_adds_nothing_where_the_drive_is_as_in_the_model(tmp_path: Path) -> None:
-    _, found = found_by_the_drive_stage(tmp_path, exact)
-    assert not found.terms
+    assert not by_the_drive_stage(tmp_path, exact).hypothesis.terms
 
 
 @pytest.mark.parametrize(
@@ -148,52 +150,23 @@ def test_the_drive_stage_adds_nothing_where_the_drive_is_as_in_the_model(tmp_pat
 def test_the_drive_stage_adds_the_effect_that_the_drive_has(
     tmp_path: Path, drive: Callable[[], Drive], effect: str, parameter: str, value: float
 ) -> None:
-    problem, found = found_by_the_drive_stage(tmp_path, drive)
-    assert [term.effect for term in found.terms] == [effect]
-    (term,) = found.terms
-    theta = found.theta[found.slice_of(term)]
-    reported = {
-        p.reported_name: p.reported(float(x) * problem.scales.value(p, 0))
-        for p, x in zip(term.parameters, theta, strict=True)
-    }
-    assert reported[parameter] == pytest.approx(value, rel=0.03)
-    assert held_out_error(problem, found) < 1.2 < 0.25 * held_out_error(problem, EMPTY)
+    result = by_the_drive_stage(tmp_path, drive)
+    assert [term.effect for term in result.hypothesis.terms] == [effect]
+    assert reported(result)[f"{effect}.{parameter}"] == pytest.approx(value, rel=0.03)
+    error = result.errors["swing"]
+    assert error.after < 1.2 * error.floor < 0.3 * error.before
 
 
-def test_friction_is_fitted_again_once_the_limit_of_the_drive_is_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without the limit no friction explains the motion, and the friction stage comes first."""
-    # The other stages find nothing here, and would take half of the time.
-    two_stages = partial(
-        identify_by_simulation.identify_simulation, plan=StagePlan(order=("friction", "drive"))
-    )
-    shown: list[float] = []
-
-    def watched(*arguments: Any, progress: Callable[[float], None], **options: Any) -> Any:
-        return two_stages(*arguments, progress=shown.append, **options)
-
-    monkeypatch.setattr(identify_by_simulation, "identify_simulation", watched)
-    (tmp_path / "model.xml").write_text(MODEL.format(**NOMINAL))
-    one, two, held = (
-        str(write_trial(tmp_path / f"{name}.csv", seed, limited(1.0), REAL))
-        for seed, name in enumerate("abc", 1)
-    )
-    words = ["identify", str(tmp_path / "model.xml"), one, two, "--held-out", held]
-    assert cli.main([*words, "--command-between", "held", "--out", str(tmp_path / "out")]) == 0
-    document = json.loads((tmp_path / "out/identification.json").read_text())
-    stages = {stage["stage"]: stage for stage in document["stages"]}
-    assert stages["friction"]["state"] == "reopened"
-    assert "fitted again with what later stages had found" in stages["friction"]["why"]
-    assert "the motion shows none of it" not in stages["friction"]["why"]
-    assert stages["friction"]["parameters"] == ["swing.viscous_friction", "swing.coulomb_friction"]
-    # Two stages, both together, and the two again.
-    assert shown == pytest.approx([0.2, 0.4, 0.6, 0.6, 0.8])
-    together = stages["closed_loop"]["held_out"]
-    assert together["after"] < 1.0 < 0.2 * together["before"]
-    found = {name: one["value"] for name, one in document["parameters"].items()}
+def test_friction_and_gain_are_found_beside_the_limit_of_the_drive(tmp_path: Path) -> None:
+    """Without the limit no friction explains the motion."""
+    result = identified(tmp_path, partial(limited, 1.0), REAL)
+    stages = {stage.name: stage for stage in result.stages}
+    assert {stages[name].state for name in ("friction", "drive", "closed_loop")} == {"accepted"}
+    values = reported(result)
     added = REAL["damping"] - NOMINAL["damping"]
-    assert found["swing.viscous_friction"] == pytest.approx(added, abs=0.03)
-    assert found["swing.coulomb_friction"] == pytest.approx(REAL["friction"], abs=0.03)
+    assert values["viscous_friction.coefficient"] == pytest.approx(added, abs=0.03)
+    assert values["coulomb_friction.coulomb"] == pytest.approx(REAL["friction"], abs=0.03)
     gain = REAL["kp"] / NOMINAL["kp"] - 1.0
-    assert found["swing.controller_gain.stiffness_error"] == pytest.approx(gain, abs=0.03)
+    assert values["controller_gain.stiffness_error"] == pytest.approx(gain, abs=0.03)
+    error = result.errors["swing"]
+    assert error.after < error.floor < 0.01 * error.before

@@ -62,3 +62,21 @@ def test_friction_on_a_moving_base_is_identified_from_efforts(tmp_path: Path) ->
     cli.main(fixed)
     wrong = json.loads((tmp_path / "f" / "identification.json").read_text())
     assert wrong["held_out"]["knee"]["effort_relative"] > 0.2
+
+
+def test_damping_on_a_moving_base_is_identified_from_commands_and_positions(tmp_path: Path) -> None:
+    (tmp_path / "free.xml").write_text(FREE)
+    motion = Motion(seconds=4.0, added_damping=0.15, noise=2e-4)
+    names = [str(moved_trunk(seed, motion).write(tmp_path / f"{seed}.csv")) for seed in range(3)]
+    words = [str(tmp_path / "free.xml"), *names[:2], "--held-out", names[2]]
+    options = ["--command-between", "interpolated", "--out", str(tmp_path / "out")]
+    assert cli.main(["identify", *words, *options]) == 0
+    document = json.loads((tmp_path / "out" / "identification.json").read_text())
+    assert document["way"] == "commands and positions"
+    values = {name: one["value"] for name, one in document["parameters"].items()}
+    # The servo's own damping is 0.2 N*m*s/rad; only the sum with the joint's moves the knee.
+    damping = values.get("knee.viscous_friction", 0.0)
+    damping += 0.2 * values.get("knee.controller_gain.damping_error", 0.0)
+    assert damping == pytest.approx(0.15, rel=0.1)
+    for error in document["held_out"].values():
+        assert error["position_rms"] < 3.0 * error["noise_floor"]

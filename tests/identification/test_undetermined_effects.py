@@ -21,8 +21,8 @@ from pytest_twin.identification.motions import (
     undetermined_by_command,
     undetermined_by_effort,
 )
-from pytest_twin.identification.simulation.stage_effects import SIMULATED
-from pytest_twin.identification.simulation.undetermined_terms import undetermined_terms
+from pytest_twin.identification.simulation.stage_effects import SIMULATED, StagePlan
+from pytest_twin.identification.simulation.undetermined_terms import AbsentEffects
 from pytest_twin.realization import load
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.twin import DEFAULT_TOPICS
@@ -49,8 +49,8 @@ def undetermined(folder: Path, command: Callable[[float], float]) -> set[str]:
     setup = ModelSetup.of(robot, None, 1)
     used = determine_signals(setup, replace(trials, held_out=())).apply(trials)
     prepared, _ = build_problem(setup, used, [])
-    terms = undetermined_terms(prepared.problem, EMPTY, ["position"])
-    return {term.effect for term in terms}
+    absent = AbsentEffects.of(prepared.problem, EMPTY, StagePlan())
+    return {term.effect for term in absent.undetermined()}
 
 
 def test_a_small_slow_motion_leaves_delay_and_armature_undetermined(tmp_path: Path) -> None:

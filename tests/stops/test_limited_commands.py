@@ -74,6 +74,19 @@ def test_an_identification_keeps_the_stages_that_it_finished(
     assert errors[1] < 0.9 * errors[0]
 
 
+def test_a_longer_limit_never_gives_a_worse_identification(
+    inputs: dict[str, Estimating], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The searches of two limits take the same steps; the longer one goes on."""
+    errors = []
+    for readings in (5, 40, 150, 600):
+        document = run_limited(inputs["identify"], tmp_path / str(readings), readings, monkeypatch)
+        errors.append(document["held_out"]["swing"]["position_rms"])
+    floor = document["held_out"]["swing"]["noise_floor"]
+    for before, after in itertools.pairwise(errors):
+        assert after <= max(before, 2.0 * floor)
+
+
 def test_ranges_are_checked_with_the_robots_that_were_simulated(
     inputs: dict[str, Estimating], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,10 +33,10 @@ _MAX_EXCHANGES = 4
 
 def candidates(problem: Problem) -> list[Term]:
     """Every candidate effect at every joint where it can act."""
-    servo = problem.simulator.layout.servo
+    servo, mask = problem.simulator.layout.servo, problem.mask
     found = []
     for effect in catalogue().values():
-        if not effect.candidate or problem.family not in (None, effect.family):
+        if not effect.candidate or (mask is not None and not mask.allows(effect.id)):
             continue
         if effect.needs_effort_sensor and problem.effort_floor is None:
             continue
@@ -45,13 +45,28 @@ def candidates(problem: Problem) -> list[Term]:
         if effect.scope == "robot":
             found.append(Term(effect.id, -1))
             continue
-        for j in range(len(problem.joints)):
+        for j, joint in enumerate(problem.joints):
+            if mask is not None and not mask.allows(effect.id, joint):
+                continue
             if effect.family in ("actuation", "timing") and servo[j] not in effect.modes:
                 continue
             if effect.periodic and problem.simulator.layout.slides[j]:
                 continue
             found.append(Term(effect.id, j))
     return found
+
+
+def given_terms(problem: Problem) -> list[Term]:
+    """Effects that every model of the search has, at each joint whose drive can have them."""
+    servo, mask = problem.simulator.layout.servo, problem.mask
+    if mask is None:
+        return []
+    return [
+        term
+        for term in candidates(problem)
+        if term.effect in mask.given and term.joint >= 0
+        and servo[term.joint] in term.law.basic_modes
+    ]  # fmt: skip
 
 
 @dataclass(slots=True)

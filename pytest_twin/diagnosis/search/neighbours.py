@@ -115,7 +115,8 @@ def neighbours(
         physics.rewrites(own),
         physics.sensor_effects(own, incumbent.mean_square),
     ):
-        different.setdefault(form_of(hypothesis), hypothesis)
+        if has_given(hypothesis, physics.given):
+            different.setdefault(form_of(hypothesis), hypothesis)
     linear, seen = view.linear, view.residual
     of_incumbent = comparison.log_likelihood(seen.mean_square) - comparison.penalty(incumbent.size)
 
@@ -166,11 +167,25 @@ def form_of(hypothesis: Hypothesis) -> _Form:
     )
 
 
-def removals(own: Hypothesis) -> list[tuple[Term, ...]]:
-    """Sets of terms that are removed: none, each, pairs of a joint, all of a joint, all."""
-    found = dict.fromkeys([(), *((t,) for t in own.terms)])
-    for joint in sorted({t.joint for t in own.terms}):
-        of_joint = [t for t in own.terms if t.joint in (joint, -1)]
+def has_given(hypothesis: Hypothesis, given: Collection[Term]) -> bool:
+    """Whether a hypothesis has all given effects, or laws of which they are special cases."""
+    return all(
+        term in hypothesis.terms
+        or any(t.joint == term.joint and term.effect in t.law.generalizes for t in hypothesis.terms)
+        for term in given
+    )
+
+
+def removals(own: Hypothesis, given: Collection[Term] = ()) -> list[tuple[Term, ...]]:
+    """Sets of terms that are removed: none, each, pairs of a joint, all of a joint.
+
+    Args:
+        given: terms that stay.
+    """
+    terms = [t for t in own.terms if t not in given]
+    found = dict.fromkeys([(), *((t,) for t in terms)])
+    for joint in sorted({t.joint for t in terms}):
+        of_joint = [t for t in terms if t.joint in (joint, -1)]
         found.update(dict.fromkeys(itertools.combinations(of_joint, 2)))
         found[tuple(of_joint)] = None
     return list(found)
@@ -181,7 +196,7 @@ def _exchanges(
 ) -> Iterator[LinearizedFit]:
     """The incumbent with terms removed and others added, by the normal equations."""
     own, seen = incumbent.hypothesis, view.residual
-    removed_sets = removals(own)
+    removed_sets = removals(own, physics.given)
     reduced = [own.without(*removed) for removed in removed_sets]
     residuals = _residuals_without(physics, incumbent, view, removed_sets, reduced)
     elastic = view.sensitivities.elastic_transmissions
@@ -211,8 +226,9 @@ def _exchanges(
 
 def simpler_or_confused(physics: Physics, own: Hypothesis) -> list[Hypothesis]:
     """Models that need no linearization: fewer effects, other words, effects that are confused."""
-    reduced = [own.without(*removed) for removed in removals(own) if removed]
-    every = [*reduced, *physics.rewrites(own), *confused(physics, own)]
+    reduced = [own.without(*removed) for removed in removals(own, physics.given) if removed]
+    others = [*physics.rewrites(own), *confused(physics, own)]
+    every = [*reduced, *(h for h in others if has_given(h, physics.given))]
     return list({form_of(h): h for h in reversed(every)}.values())
 
 
@@ -302,7 +318,7 @@ def proposed_starts(
     starts = [
         start
         for start in physics.starts(incumbent.hypothesis, unexplained)
-        if of is None or start[0] in of
+        if (of is None or start[0] in of) and has_given(start[1], physics.given)
     ]
     if not starts:
         return []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -11,9 +11,15 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.build_problem import build_problem
-from pytest_twin.diagnosis.first_order.beam_search import candidates
+from pytest_twin.diagnosis.first_order.beam_search import candidates, given_terms
 from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
 from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.passive_joints import (
+    LargestBackEmf,
+    has_excessive_back_emf,
+    with_largest_back_emf,
+)
+from pytest_twin.diagnosis.physical_totals import without_negative_totals
 from pytest_twin.diagnosis.prepare import NOISE, PreparedProblem, discretization_rms
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
@@ -52,6 +58,10 @@ class Physics(Protocol):
     @property
     def candidates(self) -> Sequence[Term]:
         """Effects at joints that may be added."""
+
+    @property
+    def given(self) -> Collection[Term]:
+        """Effects that every model of the search has; none in a diagnosis."""
 
     @property
     def floor(self) -> FloatArray:
@@ -145,9 +155,12 @@ class SimulatedPhysics:
         setup: the model with its simulation settings.
         prepared: the problem; all its segments are fitted.
         possible: interpolations of the commands that the recordings do not rule out.
+        given: effects that every model of the search has.
         between: interpolation that the search decided; None if it decided none.
         problem: the problem with the noise by which all settings are compared.
     """
+
+    given: Collection[Term] = ()
 
     def __init__(
         self,
@@ -173,6 +186,7 @@ class SimulatedPhysics:
             )
         )
         self.candidates: Sequence[Term] = tuple(candidates(problem))
+        self.given = given_terms(problem)
         self.recorded = RecordedRange.of(problem)
 
     @property
@@ -225,9 +239,18 @@ class SimulatedPhysics:
         here = self.problem.at(corrected_at)
         weights = here.weights(np.mean(residual**2, axis=0))
         (fitted,) = fit(here, [hypothesis], weights, here.fit, iterations=iterations)
-        corrected = self.problem.at(fitted.hypothesis)
-        (last,) = corrected.residuals([fitted.hypothesis], corrected.fit)
-        return fitted.hypothesis, last, fitted.jacobian
+        found = fitted.hypothesis
+        if self.given and has_excessive_back_emf(self.problem, found):
+            # The back-EMF follows the damping: at a fixed bound it would hold the damping.
+            bounded = LargestBackEmf(here)
+            (fitted,) = fit(bounded, [found], weights, here.fit, iterations=iterations)
+            found = with_largest_back_emf(self.problem, fitted.hypothesis)
+        if self.given:
+            # A negative total shows that a given effect compensates for one that is missing.
+            found = found.with_theta(without_negative_totals(self.problem, found))
+        corrected = self.problem.at(found)
+        (last,) = corrected.residuals([found], corrected.fit)
+        return found, last, fitted.jacobian
 
     def linearize(self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray) -> View:
         """As :meth:`Physics.linearize`."""
@@ -293,14 +316,34 @@ class SimulatedPhysics:
                     out.append((term, hypothesis.with_theta(theta).with_terms(others)))
                     continue
                 of_joint = tuple(t for t in hypothesis.terms if t.joint == term.joint)
-                for replaced in ((), of_joint) if of_joint else ((),):
-                    rest = hypothesis.without(*replaced)
-                    out.append((term, rest.with_terms({**others, term: start.parameters})))
+                rests = [hypothesis.without(*replaced) for replaced in {(), of_joint}]
+                if term.joint in {t.joint for t in self.given}:
+                    # Without a limit of the drive, the fit of a gain may end far off.
+                    rests = [hypothesis, self._with_absent_given(hypothesis, term.joint)]
+                out += [
+                    (term, rest.with_terms({**others, term: start.parameters})) for rest in rests
+                ]
         return out
+
+    def _with_absent_given(self, hypothesis: Hypothesis, joint: int) -> Hypothesis:
+        """A hypothesis without the effects of a joint, of which the given ones are at absence."""
+        rest = hypothesis.without(*(t for t in hypothesis.terms if t.joint == joint))
+        return rest.with_terms(
+            {
+                t: np.array([p.absent_value for p in t.parameters])
+                for t in self.given
+                if t.joint == joint
+            }
+        )
 
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         """As :meth:`Physics.refusals`."""
         return refused_effects(self.problem, hypothesis, self.recorded)
+
+    def is_possible(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis may be reported: no effect is refused, and no drive makes energy."""
+        is_passive = not self.given or not has_excessive_back_emf(self.problem, hypothesis)
+        return is_passive and not self.refusals(hypothesis)
 
     def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
         """As :meth:`Physics.other_settings`.

@@ -7,13 +7,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.intervals import ParameterUncertainty
 from pytest_twin.diagnosis.search.model import Model
+from pytest_twin.diagnosis.search.physics import Physics
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.hypothesis import Term
 
@@ -28,9 +29,7 @@ def rejections(
     nominal: Model,
     without_each: Mapping[Term, FloatArray],
     uncertainty: ParameterUncertainty,
-    floor: FloatArray,
-    impossible: Mapping[Term, str],
-    joints: int,
+    physics: Physics,
 ) -> dict[Term, str]:
     """Effects without a name -> the reason, for the reader.
 
@@ -38,12 +37,13 @@ def rejections(
         model: the last incumbent, with its Jacobian.
         nominal: the model without effects.
         without_each: term -> (signals,) mean squared residual of the model refitted without it.
-        floor: (signals,) noise floor.
-        impossible: effects with impossible totals or outside the recorded range.
-        joints: number of joints.
+        physics: the robot and its recordings. Effects that every robot has, such as friction,
+            imitate nothing: the third rule does not apply to the given ones.
     """
-    out = dict[Term, str]()
+    out, floor, joints = dict[Term, str](), physics.floor, len(physics.joints)
+    impossible, given = physics.refusals(model.hypothesis), physics.given
     before, after = (m.mean_square / floor**2 for m in (nominal, model))
+    may_be_absent = list[Term]()
     for term in model.hypothesis.terms:
         columns = _signals_of(term, joints, len(floor))
         if term in impossible:
@@ -51,13 +51,66 @@ def rejections(
         elif contains_absence(model, term, uncertainty) and not _is_needed(
             without_each[term][columns] / floor[columns] ** 2, after[columns], before[columns]
         ):
-            out[term] = "its 95 % interval contains its absence"
-        elif (share := _remaining_share(before[columns], after[columns])) > _MAY_REMAIN:
+            may_be_absent.append(term)
+        elif (
+            term not in given
+            and (share := _remaining_share(before[columns], after[columns])) > _MAY_REMAIN
+        ):
             out[term] = (
                 f"it is the closest known effect: {100 * share:.0f} % of the squared error remains "
                 "where it acts"
             )
-    return out
+    may_be_absent.sort(key=lambda t: float(np.sum(without_each[t] / floor**2)))
+    absent = absent_together(model, may_be_absent, uncertainty, floor)
+    return {**out, **dict.fromkeys(absent, "its 95 % interval contains its absence")}
+
+
+def absent_together(
+    model: Model, terms: Sequence[Term], uncertainty: ParameterUncertainty, floor: FloatArray
+) -> list[Term]:
+    """Effects that may all be absent at once, of those that may be absent alone.
+
+    Two effects with one cause, such as the damping of a joint and of its servo, may each be absent,
+    but not both. The least needed one is removed, and the others are tested with the parameters
+    that a fit without it would have (in the linearized motion).
+
+    Args:
+        terms: effects whose interval contains their absence, the least needed first.
+        uncertainty: of the parameters of the model.
+        floor: (signals,) noise floor.
+    """
+    if len(terms) < 2:
+        return list(terms)
+    hypothesis, jacobian = model.hypothesis, model.jacobian
+    assert jacobian is not None
+    weight = 1.0 / np.maximum(model.mean_square, floor**2)
+    information = np.einsum("tsp,s,tsq->pq", jacobian, weight, jacobian)
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    variance = np.diag(np.linalg.pinv(information / np.outer(size, size), hermitian=True))
+    ratio = uncertainty.half_width * size / np.sqrt(np.maximum(variance, 1e-300))
+    # Half width of an interval over the deviation of white noise, of the best determined parameter.
+    width = float(np.min(ratio[np.isfinite(ratio) & (ratio > 0.0)], initial=np.inf))
+    removed = list(terms[:1])
+    for term in terms[1:]:
+        columns = np.flatnonzero(hypothesis.parameters_without(*removed))
+        gone = np.flatnonzero(~hypothesis.parameters_without(*removed))
+        inverse = np.linalg.pinv(
+            information[np.ix_(columns, columns)] / np.outer(size[columns], size[columns]),
+            hermitian=True,
+        ) / np.outer(size[columns], size[columns])
+        absent = np.concatenate([[p.absent_value for p in t.parameters] for t in hypothesis.terms])
+        step = inverse @ information[np.ix_(columns, gone)] @ (hypothesis.theta - absent)[gone]
+        theta = hypothesis.theta.copy()
+        theta[columns] += step
+        place = hypothesis.slice_of(term)
+        own = [place.start + k for k in term.amplitude_indices(theta[place])]
+        within = np.searchsorted(columns, own)
+        offset = (theta - absent)[own]
+        covariance = inverse[np.ix_(within, within)] * width**2
+        distance = offset @ np.linalg.pinv(covariance, hermitian=True) @ offset
+        if distance <= 1.0:
+            removed.append(term)
+    return removed
 
 
 def contains_absence(model: Model, term: Term, uncertainty: ParameterUncertainty) -> bool:

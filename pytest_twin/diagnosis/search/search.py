@@ -21,6 +21,7 @@ from pytest_twin.diagnosis.search.neighbours import (
     Neighbour,
     Quota,
     confused,
+    has_given,
     neighbours,
     proposed_starts,
     simpler_or_confused,
@@ -92,6 +93,7 @@ class Search:
         self._passed: Model | None = None
         nominal = self._model(EMPTY, residual, "nominal model", EMPTY)
         self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
+        self._simplest = self.nominal
         self.pool.add(self.nominal)
 
     def run(self, starts: Sequence[Model] = (), rounds: int | None = None) -> SearchOutcome:
@@ -110,6 +112,13 @@ class Search:
             if best is not incumbent:
                 incumbent = self._accept_fitted(best, incumbent) or incumbent
                 scores.append(incumbent.score)
+            if self.physics.given:
+                self._simplest = self._with_given(starts)
+                incumbent = max(
+                    (m for m in (incumbent, self._simplest) if self._is_allowed(m.hypothesis)),
+                    key=lambda m: m.score, default=incumbent,
+                )  # fmt: skip
+                scores.append(incumbent.score)
             for _ in range(self.settings.rounds if rounds is None else rounds):
                 self.check(incumbent)
                 better = self._round(incumbent)
@@ -126,9 +135,28 @@ class Search:
             is_complete,
         )  # fmt: skip
 
+    def _is_allowed(self, hypothesis: Hypothesis) -> bool:
+        return has_given(hypothesis, self.physics.given)
+
+    def _with_given(self, starts: Sequence[Model]) -> Model:
+        """The model of the given effects alone: the best fit from absence and from the starts."""
+        absent = EMPTY.with_terms(
+            {t: np.array([p.absent_value for p in t.parameters]) for t in self.physics.given}
+        )
+        known = [
+            absent.with_theta(np.concatenate([
+                (h if t in h.terms else absent).theta[(h if t in h.terms else absent).slice_of(t)]
+                for t in absent.terms
+            ]))
+            for h in (start.hypothesis for start in starts)
+        ]  # fmt: skip
+        models = self._simulate([absent, *known], absent, "given effects")
+        fitted = [self._fitted(m) for m in models if m.is_finite]
+        return max(fitted, key=lambda m: m.score, default=self.nominal)
+
     def _round(self, incumbent: Model) -> Model | None:
         """The model that replaces the incumbent; None if no proposal passes the test."""
-        if not incumbent.hypothesis.terms and not self._exceeds(incumbent, VERDICT.identifiable):
+        if incumbent is self._simplest and not self._exceeds(incumbent, VERDICT.identifiable):
             return None
         if not self.physics.is_linearizable and not self._exceeds(incumbent, VERDICT.identifiable):
             # Simulations of all candidates would explain noise only.
@@ -158,7 +186,11 @@ class Search:
         Two effects that imitate a third may keep the search from the one that is right.
         """
         other = self.pool.best_simpler(incumbent)
-        if other is None or not self._exceeds(incumbent, VERDICT.at_floor):
+        if (
+            other is None
+            or not self._is_allowed(other)
+            or not self._exceeds(incumbent, VERDICT.at_floor)
+        ):
             return None
         simpler = self._fitted(self.simulated(other))
         view = self._linearize(simpler)
@@ -173,7 +205,8 @@ class Search:
         The setting is then that of all further models.
         """
         own = incumbent.hypothesis
-        hypotheses = [own, *(own.without(t) for t in own.terms if len(own.terms) > 1)]
+        reduced = (own.without(t) for t in own.terms if len(own.terms) > 1)
+        hypotheses = [own, *filter(self._is_allowed, reduced)]
         tried = list[tuple[Physics, Model]]()
         is_explained = not self._exceeds(incumbent, VERDICT.identifiable)
         for physics in self.physics.other_settings(own, is_explained=is_explained):
@@ -203,7 +236,7 @@ class Search:
         gains = [n.gain for n in proposals if not n.has_elastic]
         if (
             view.linear is not None
-            and not incumbent.hypothesis.terms
+            and incumbent is self._simplest
             and max(gains, default=0.0) < settings.earns
         ):
             simulated_view = physics.view_by_simulation(
@@ -236,7 +269,7 @@ class Search:
         """
         other = [
             h for h in self.physics.rewrites(incumbent.hypothesis)
-            if not self.physics.size(h).is_richer_than(incumbent.size)
+            if not self.physics.size(h).is_richer_than(incumbent.size) and self._is_allowed(h)
         ]  # fmt: skip
         other.sort(key=lambda h: self.physics.size(h).parameters)
         return other[: self.settings.rivals]
@@ -289,7 +322,16 @@ class Search:
 
         Those that are not simulated enter the pool with their linearized evidence.
         """
-        own, settings = set(incumbent.hypothesis.terms), self.settings
+        settings = self.settings
+        simpler = self._simulate(
+            self._without_given(incumbent.hypothesis), incumbent.corrected_at, "rival"
+        )
+        self._fit_best(view, simpler, incumbent, settings.finalists)
+        for model in simpler[:1]:
+            # Without all given effects the others may be far from their values beside them.
+            if model.hypothesis.terms and model.is_finite:
+                self._fitted(model)
+        own = set(incumbent.hypothesis.terms) - set(self.physics.given)
         if not own:
             return []
         others = [n for n in proposals if not own <= set(n.hypothesis.terms)]
@@ -303,7 +345,9 @@ class Search:
             if key not in seen and n.gain > -settings.rival_within:
                 seen.add(key)
                 chosen.append(n)
-        carried = confused(self.physics, incumbent.hypothesis, carried=True)
+        carried = list(
+            filter(self._is_allowed, confused(self.physics, incumbent.hypothesis, carried=True))
+        )
         models = self._simulate(
             [*carried[: settings.rivals], *(n.hypothesis for n in chosen[: settings.rivals])],
             incumbent.corrected_at,
@@ -319,6 +363,16 @@ class Search:
             else m
             for i, m in enumerate(ranked)
         ]
+
+    def _without_given(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """The hypothesis without all given effects, without those of each joint, and without each.
+
+        The search keeps them, but they carry a name only if no simpler set predicts as well.
+        """
+        given = [t for t in hypothesis.terms if t in self.physics.given]
+        of_joints = [[t for t in given if t.joint == joint] for joint in {t.joint for t in given}]
+        sets = dict.fromkeys([tuple(given), *map(tuple, of_joints), *((t,) for t in given)])
+        return [hypothesis.without(*removed) for removed in sets if removed]
 
     def _accept_one(
         self, view: View | None, models: Sequence[Model], incumbent: Model
@@ -360,7 +414,7 @@ class Search:
         if refused:
             decision = Acceptance(False, next(iter(refused.values())))
         else:
-            decision = accepts(model, incumbent, self.nominal, self.comparison, self.settings)
+            decision = accepts(model, incumbent, self._simplest, self.comparison, self.settings)
         self.listener(model, incumbent, decision)
         return decision
 

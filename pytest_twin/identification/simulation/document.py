@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.passive_joints import impossible
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
 from pytest_twin.estimation.covariance import correlated_pairs
@@ -17,8 +18,7 @@ from pytest_twin.identification.motions import undetermined_by_command
 from pytest_twin.identification.records import verdict_of
 from pytest_twin.identification.simulation.command_mistakes import command_mistakes
 from pytest_twin.identification.simulation.identify_by_simulation import SimulationResult
-from pytest_twin.identification.simulation.passive_joints import impossible
-from pytest_twin.identification.simulation.staged_fit import place_of
+from pytest_twin.identification.simulation.stage_tests import place_of
 
 
 def simulation_document(result: SimulationResult) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
     better = np.mean([e.after for e in errors.values()]) < np.mean(
         [e.before for e in errors.values()]
     )
-    tested = bool(len(problem.held_out))
+    tested = result.is_tested
     suspected = command_mistakes(result.trials.fit)
     fatal = any(one.is_fatal for one in suspected)
     return {

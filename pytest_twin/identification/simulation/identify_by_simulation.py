@@ -1,45 +1,42 @@
-"""Staged identification by the simulation error of the closed loop.
+"""Identification by the simulation error of the closed loop: the search of a diagnosis.
 
-Each stage is a fit of the diagnosis with a given list of effects; nothing is searched.
+The candidates of the search are the effects that have a stage. Its start are the basic effects of
+all joints, from the equation error. What it finds is tested stage by stage.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
+from pytest_twin.diagnosis.budget import Budget
+from pytest_twin.diagnosis.build_problem import residuals_everywhere
+from pytest_twin.diagnosis.conclusion import evaluate_on_test, hypothesis_at_tested_joints
 from pytest_twin.diagnosis.intervals import ParameterUncertainty, parameter_uncertainty
-from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_result import joint_errors
-from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
+from pytest_twin.diagnosis.searched_trials import search_trials
+from pytest_twin.diagnosis.signal_meaning import RecordedSignals
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
-from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
-from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel
-from pytest_twin.identification.simulation.equation_error import first_values
-from pytest_twin.identification.simulation.stage_effects import (
-    StagePlan,
-    nuisance_of,
-    start,
-    terms_of,
-)
-from pytest_twin.identification.simulation.stage_fit import with_derivatives
-from pytest_twin.identification.simulation.staged_fit import StagedFit
-from pytest_twin.identification.simulation.undetermined_terms import undetermined_terms
+from pytest_twin.identification.simulation.stage_effects import StagePlan
+from pytest_twin.identification.simulation.stage_tests import StageTests, with_derivatives
+from pytest_twin.identification.simulation.undetermined_terms import AbsentEffects
 from pytest_twin.identification.stages import Stage, StageName, shares
 from pytest_twin.realization import Realization
-from pytest_twin.time_limit import skips
+from pytest_twin.time_limit import current_limit, skips
 
-_KNOWN = "known"
-"""Command mode that no effect acts on, of a joint whose drive is not fitted."""
+_STEPS_OF_SEARCH = 0.9
+"""Share of the progress that the search has."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +44,15 @@ class SimulationResult:
     """Result of an identification from commands and positions.
 
     Attributes:
-        prepared: estimation problem at the final parameters.
-        hypothesis: all accepted terms, fitted together.
-        stage_of: term -> stage that accepted it.
+        prepared: problem that was fitted.
+        hypothesis: all effects, fitted together.
+        stage_of: term -> its stage.
         spread: uncertainty of the final parameters.
         stages: stages in order.
         undetermined: term that may act unnoticed -> stage that fits it.
         errors: joint -> error on held-out recordings, or on fitted ones if none is held out.
+        is_tested: whether recordings were held out.
+        is_complete: whether the search ended by itself.
         signals: meaning of the recorded commands, velocities and efforts.
         trials: recordings as they were used.
         notes: one line each.
@@ -65,7 +64,9 @@ class SimulationResult:
     spread: ParameterUncertainty
     stages: tuple[Stage, ...]
     undetermined: dict[Term, StageName]
-    errors: dict[str, JointError]
+    errors: Mapping[str, JointError]
+    is_tested: bool
+    is_complete: bool
     signals: RecordedSignals
     trials: TrialSet
     notes: tuple[str, ...]
@@ -80,7 +81,7 @@ def identify_simulation(
     progress: Callable[[float], None] = lambda fraction: None,
     plan: StagePlan | None = None,
 ) -> SimulationResult:
-    """Fit effects stage by stage; a stage that is accepted is frozen.
+    """Search effects among those of the stages, and test each stage on the held-out recordings.
 
     Args:
         trials: recordings with commands.
@@ -93,59 +94,59 @@ def identify_simulation(
         RecordingError: the model and the recordings share no joint.
         SimulationError: the model diverges on every recording.
     """
-    notes: list[str] = []
-    plan = plan or StagePlan()
-    setup = ModelSetup.of(realization, inherited, threads)
-    fit_alone = replace(trials, held_out=())
-    with np.errstate(over="ignore", invalid="ignore"):
-        signals = _determine_signals(setup, fit_alone)
-        used = signals.apply(trials)
-        prepared, used = build_problem(setup, used, notes)
-        problem = prepared.problem
-        modes = [
-            _KNOWN if joint in plan.known_drives else problem.simulator.segments[0].mode_of(j)
-            for j, joint in enumerate(problem.joints)
-        ]
-        first = first_values(problem)
-        weights = _segment_weights(problem, start(_drives(modes), problem.scales, first))
-        weighted = replace(problem, position_weights=weights)
-        staged = StagedFit(setup, used, replace(prepared, problem=weighted), modes, first, plan)
-        staged.run(progress)
-        found, stage_of = staged.found, staged.stage_of
-        stages, undetermined = list(staged.stages.values()), dict[Term, StageName]()
-        if not skips("which values of the model hold"):
-            undetermined = undetermined_terms(weighted, found, modes, plan.order)
-            stages = [_as_the_model_says(one, undetermined) for one in stages]
-        slopes = with_derivatives(weighted, found)
-        spread = parameter_uncertainty(weighted.at(found), slopes)
-        stages = [_with_data(one, weighted, slopes, stage_of, used) for one in stages]
-        # The errors that are reported count every recording alike.
-        before, after = (residuals_everywhere(problem, h) for h in (EMPTY, found))
-        errors = joint_errors(prepared, before, after)
-    return SimulationResult(
-        prepared, found, stage_of, spread, tuple(stages), undetermined, errors, signals, used,
-        (*used.notes, *notes),
+    plan, limit = plan or StagePlan(), current_limit()
+    run = Run(Budget(limit.seconds, np.inf, limit.clock, limit.begin))
+    run.mask, run.first_values = plan.mask, plan.start
+    searched = search_trials(
+        realization, trials, run, inherited=inherited, threads=threads,
+        progress=lambda fraction: progress(_STEPS_OF_SEARCH * fraction),
     )  # fmt: skip
-
-
-def _determine_signals(setup: ModelSetup, trials: TrialSet) -> RecordedSignals:
-    """Meaning of the recorded commands; as the model has them if the run must end."""
-    try:
-        with ending_at_limit():
-            return determine_signals(setup, trials)
-    except OutOfTime:
-        skips("what the commands and efforts of the recordings are")
-        return RecordedSignals()
+    structure = searched.structure
+    limit.left_out(run.skipped_searches)
+    with np.errstate(over="ignore", invalid="ignore"):
+        evaluated = evaluate_on_test(structure, searched.trials, searched.roles.test)
+        found, tested = structure.found, evaluated.tested
+        prepared, hypothesis = found.prepared, found.explanation.hypothesis
+        problem, test_problem = prepared.problem, tested.prepared.problem
+        column = {problem.joints.index(j): k for k, j in enumerate(test_problem.joints)}
+        errors, spread = tested.errors, found.explanation.uncertainty
+        tests = StageTests(
+            plan, with_derivatives(problem, hypothesis), problem, test_problem,
+            partial(hypothesis_at_tested_joints, column=column),
+        )  # fmt: skip
+        stages = tests.stages(errors)
+        kept = tests.without_rejected(stages)
+        if kept.terms != hypothesis.terms:
+            hypothesis, spread = kept, None
+            tests = replace(tests, fitted=with_derivatives(problem, hypothesis))
+            errors = joint_errors(
+                tested.prepared, tested.before,
+                residuals_everywhere(test_problem, tests.at_tested_joints(hypothesis)),
+            )  # fmt: skip
+            stages = [*stages[:-1], tests.together(errors)]
+        slopes = tests.fitted
+        stage_of = {t: plan.stage_of[t.effect] for t in hypothesis.terms}
+        if spread is None:
+            spread = parameter_uncertainty(problem.at(hypothesis), slopes)
+        undetermined = dict[Term, StageName]()
+        if not skips("which values of the model hold"):
+            absent = AbsentEffects.of(problem, hypothesis, plan)
+            undetermined, spread = absent.undetermined(), absent.widened(spread)
+            stages = [_as_the_model_says(one, undetermined) for one in stages]
+    stages = [_with_data(one, problem, slopes, stage_of, found.trials) for one in stages]
+    used = replace(searched.trials, fit=found.trials.fit, held_out=tested.trials.held_out)
+    return SimulationResult(
+        prepared, hypothesis, stage_of, spread, tuple(stages), undetermined, errors,
+        bool(len(test_problem.held_out)), not run.skipped_searches, searched.signals, used,
+        (*searched.trials.notes, searched.roles.note, *structure.notes, *evaluated.notes),
+    )  # fmt: skip
 
 
 def _as_the_model_says(stage: Stage, undetermined: Mapping[Term, StageName]) -> Stage:
     """Return the stage with the reason if the motion shows that the model's values hold."""
     if stage.state != "not_observable" or stage.name in undetermined.values():
         return stage
-    why = (
-        "the model's values hold: the motion would show a difference, and at no joint does the "
-        "held-out error fall by more than chance explains"
-    )
+    why = f"the model's values hold: the motion would show a difference, and {stage.why}"
     return replace(stage, why=why)
 
 
@@ -163,32 +164,7 @@ def _with_data(
     if stage.state not in ("accepted", "reopened") or not columns.any():
         return stage
     weights = 1.0 / np.maximum(slopes.mean_square, problem.signal_floor**2)
-    rows = np.einsum("tsp,s->tp", slopes.jacobian[..., columns] ** 2, weights)
+    rows: FloatArray = np.einsum("tsp,s->tp", slopes.jacobian[..., columns] ** 2, weights)
     each = np.split(rows, np.cumsum(problem.lengths(problem.fit))[:-1])
     names = [trials.fit[problem.simulator.segments[s].trial].path.name for s in problem.fit]
     return replace(stage, data=shares(names, np.array([own.sum(axis=0) for own in each])))
-
-
-def _drives(modes: Sequence[str]) -> list[Term]:
-    return list(dict.fromkeys([*terms_of("drive", modes), *nuisance_of("encoder", (), modes)]))
-
-
-def _segment_weights(problem: Problem, hypothesis: Hypothesis) -> dict[int, FloatArray]:
-    """Segment -> (joints,) weights: one that is predicted far worse than most counts less.
-
-    In it the robot did what no stage describes (a drive that was switched off, a hand). Its errors
-    would otherwise decide every parameter. Weights are on top of the problem's own.
-    """
-    count = len(problem.joints)
-    sizes = np.array([
-        np.sqrt(np.mean(problem.residuals([hypothesis], np.array([s]))[0][:, :count] ** 2, axis=0))
-        for s in problem.all_segments
-    ])  # fmt: skip
-    sizes = np.where(np.isfinite(sizes), sizes, np.inf)
-    usual = np.median(sizes[problem.fit], axis=0)
-    weights = np.minimum(1.0, usual / np.maximum(sizes, 1e-12))
-    ones = np.ones(count)
-    return {
-        int(s): problem.position_weights.get(int(s), ones) * weights[s]
-        for s in problem.all_segments
-    }

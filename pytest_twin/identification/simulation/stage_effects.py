@@ -1,36 +1,39 @@
-"""The effects that each stage fits, and nuisance effects that are free in the same fit."""
+"""The effects of each stage: candidates of the search, and its start from the equation error."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from functools import partial
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.problem import CandidateMask, Problem
 from pytest_twin.effects import Effect, Parameter, catalogue, in_order_of_fields
-from pytest_twin.estimation.hypothesis import Hypothesis, Scales, Term
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.identification.simulation.equation_error import first_values
 from pytest_twin.identification.stages import StageName
 
 SIMULATED: tuple[StageName, ...] = ("delay", "encoder", "gravity", "inertia", "friction", "drive")
 """Stages that are fitted by simulation, in order."""
+TOGETHER: StageName = "closed_loop"
+"""Stage of all effects together, and of those that no other stage has."""
+_GAIN, _VISCOUS, _DRY, _ARMATURE = range(4)
+"""Columns of the first values: gain of the drive, viscous friction, dry friction and armature."""
 
 
-def further_effects(stage: StageName) -> tuple[str, ...]:
-    """Return the effects that a stage adds if they reduce the held-out error."""
+def effects_of(stage: StageName) -> tuple[str, ...]:
+    """Return the effects of a stage that recordings of motion show."""
     return tuple(
         effect.id
         for effect in catalogue().values()
-        if effect.stage == stage
-        and not effect.basic_modes
-        and effect.candidate
-        and effect.shows_in_motion_alone
+        if effect.stage == stage and effect.candidate and effect.shows_in_motion_alone
     )
 
 
 def basic_effects(stage: StageName) -> tuple[str, ...]:
-    """Return the effects that a stage fits from the start, at every joint or for the robot."""
+    """Return the effects of a stage that every robot has, such as friction and servo gains."""
     basic = (e for e in catalogue().values() if e.stage == stage and e.basic_modes)
     return tuple(effect.id for effect in in_order_of_fields(basic))
 
@@ -44,156 +47,111 @@ def _directional_effects() -> tuple[str, ...]:
     )
 
 
+def _given(possible: Collection[str]) -> frozenset[str]:
+    """Return the effects whose first values the equation error has: friction, gains, armature."""
+    return frozenset(
+        name
+        for name in possible
+        if (effect := catalogue()[name]).basic_modes
+        and any(_first_column(effect, p) is not None for p in effect.parameters)
+    )
+
+
+def _stages_of_all_effects() -> dict[str, StageName]:
+    return {effect: stage for stage in (*SIMULATED, TOGETHER) for effect in effects_of(stage)}
+
+
 @dataclass(frozen=True, slots=True)
 class StagePlan:
-    """Stages that are fitted, and the effects that they may add.
+    """Stages that are fitted, and the effects among which the search chooses.
 
     Attributes:
-        order: stages in order.
-        further: stage -> effects that it adds if they reduce the held-out error.
-        last: effects that are tried after all others, while a residual remains.
-        known_drives: joints that keep the model's drive.
+        order: stages in order, without that of all effects together.
+        stage_of: effect that may be found -> its stage.
+        known_drives: joints that keep the model's drive and friction.
+        tried_first: stages whose effects are candidates from the start; the others follow where a
+            residual remains.
     """
 
     order: tuple[StageName, ...] = SIMULATED
-    further: Mapping[StageName, tuple[str, ...]] = field(
-        default_factory=lambda: {stage: further_effects(stage) for stage in SIMULATED}
-    )
-    last: tuple[str, ...] = field(default_factory=lambda: further_effects(_TOGETHER))
+    stage_of: Mapping[str, StageName] = field(default_factory=_stages_of_all_effects)
     known_drives: frozenset[str] = frozenset()
+    tried_first: tuple[StageName, ...] = SIMULATED
 
     @classmethod
     def after_effort(cls, known_drives: frozenset[str]) -> StagePlan:
         """Return the plan where measured effort has determined inertia and friction.
 
-        It has no last effects. The errors of the given inertia and friction leave a residual in the
-        motion, which an effect that the robot does not have (a warm-up, an eccentric encoder) would
-        take up, in held-out recordings too.
+        It lacks the effects that no stage has. The errors of the given inertia and friction leave a
+        residual in the motion, which an effect that the robot does not have (a warm-up, an
+        eccentric encoder) would take up, in held-out recordings too.
         """
+        of_drive = *effects_of("drive"), *basic_effects("delay"), *_directional_effects()
+        of_friction = set(effects_of("friction")) - set(basic_effects("friction"))
         return cls(
             ("drive",),
-            {
-                "drive": (
-                    *further_effects("drive"),
-                    *basic_effects("delay"),
-                    *_directional_effects(),
-                ),
-                _TOGETHER: further_effects("friction"),
-            },
-            last=(),
-            known_drives=known_drives,
+            {**dict.fromkeys(of_friction, TOGETHER), **dict.fromkeys(of_drive, "drive")},
+            known_drives,
+            ("drive", TOGETHER),
         )
 
-    def stage_that_adds(self, effect: str) -> StageName | None:
-        """Return the stage that adds a further effect; None for a basic one."""
-        for stage, effects in self.further.items():
-            if effect in effects:
-                return stage
-        return _TOGETHER if effect in self.last else None
-
-
-_TOGETHER: StageName = "closed_loop"
-_NUISANCE: tuple[StageName, ...] = ("friction", "drive", "inertia")
-"""Stages whose basic effects often compensate for others. They are free while another stage is
-fitted, and their values are discarded."""
-_GAIN, _VISCOUS, _DRY, _ARMATURE = range(4)
-"""Columns of the first values: gain of the drive, viscous friction, dry friction and armature."""
-
-EXCLUDES: Mapping[StageName, str] = {
-    "delay": "damping, dry friction, gains and armature were free while the delay was fitted",
-    "encoder": "gains and dry friction were free: both leave an offset at rest, too",
-    "gravity": "gains and friction were free: a soft drive sags as under a weight",
-    "inertia": "gains and damping were free: they move the resonance, too",
-    "friction": "gains and armature were free",
-    "drive": "the results of earlier stages are fixed; nothing else is free",
-    "closed_loop": "all accepted parameters together",
-}
-
-
-def terms_of(stage: StageName, modes: Sequence[str]) -> list[Term]:
-    """Return the terms that a stage fits from the start.
-
-    Args:
-        modes: (joints,) command mode of each joint's drive.
-    """
-    return _terms_at({name: catalogue()[name].basic_modes for name in basic_effects(stage)}, modes)
-
-
-def nuisance_of(stage: StageName, frozen: Sequence[Term], modes: Sequence[str]) -> list[Term]:
-    """Return nuisance terms of a stage: neither frozen nor another form of its own terms."""
-    if stage == "drive":
-        return []
-    present = set(basic_effects(stage)) | {term.effect for term in frozen}
-    has_dry_friction = any(catalogue()[name].dry_friction_level for name in present)
-    return [
-        term
-        for other in _NUISANCE
-        for term in terms_of(other, modes)
-        if term.effect not in present and not (term.law.dry_friction_level and has_dry_friction)
-    ]
-
-
-def terms_at(
-    names: Sequence[str], modes: Sequence[str], slides: Sequence[bool] | None = None
-) -> list[Term]:
-    """Return effects as terms: at each joint whose drive can have them, or once for the robot.
-
-    Args:
-        slides: (joints,) whether each joint is prismatic; periodic effects are at hinges.
-    """
-    terms = _terms_at({name: catalogue()[name].modes for name in names}, modes)
-    return [t for t in terms if not (t.law.periodic and slides is not None and slides[t.joint])]
-
-
-def _terms_at(modes_of: Mapping[str, tuple[str, ...]], modes: Sequence[str]) -> list[Term]:
-    terms = []
-    for name, possible in modes_of.items():
-        if catalogue()[name].scope == "robot":
-            terms.append(Term(name, -1))
-        else:
-            terms += [Term(name, joint) for joint, mode in enumerate(modes) if mode in possible]
-    return terms
-
-
-def starts_of(effect: str) -> list[tuple[float, ...]]:
-    """Return starting values of an effect's parameters, in multiples of their scales.
-
-    Each form of an effect has all starting values: a fit does not change a choice.
-    """
-    parameters = catalogue()[effect].parameters
-    count = max(len(p.starts) for p in parameters if not p.choice)
-    forms = product(*(p.starts if p.choice else (None,) for p in parameters))
-    return [
-        tuple(
-            p.starts[min(k, len(p.starts) - 1)] if chosen is None else chosen
-            for p, chosen in zip(parameters, form, strict=True)
+    @property
+    def mask(self) -> CandidateMask:
+        """Candidates of the search."""
+        last = frozenset(e for e, stage in self.stage_of.items() if stage not in self.tried_first)
+        return CandidateMask(
+            frozenset(self.stage_of) - last, _given(self.stage_of), last, self.known_drives
         )
-        for form in forms
-        for k in range(count)
-    ]
 
+    def terms_of(self, stage: StageName, modes: Sequence[str]) -> list[Term]:
+        """Return the basic effects of a stage as terms: at each joint, or once for the robot.
 
-def start(terms: Sequence[Term], scales: Scales, first: FloatArray) -> Hypothesis:
-    """Return the start of a fit: the first values from the equation error.
-
-    Args:
-        first: (joints, 5) values of :func:`~.equation_error.first_values`. Parameters without a
-            first value start at the model's own value.
-    """
-    theta: list[float] = []
-    for term in terms:
-        own = first[term.joint] if term.joint >= 0 else np.full(first.shape[1], np.nan)
-        for p in term.parameters:
-            column = _first_column(term.law, p)
-            known = np.nan if column is None else own[column]
-            if np.isfinite(known):
-                known = known - 1.0 if column == _GAIN else known / scales.value(p, term.joint)
-                theta.append(float(np.clip(known, p.lower, p.upper)))
-            elif p.neutral is None:
-                theta.append(p.starts[0] if p.choice else p.starts[len(p.starts) // 2])
+        Args:
+            modes: (joints,) command mode of each joint's drive; empty for a known drive.
+        """
+        terms = []
+        for name in basic_effects(stage):
+            if name not in self.stage_of:
+                continue
+            if catalogue()[name].scope == "robot":
+                terms.append(Term(name, -1))
             else:
-                theta.append(p.neutral)
-    return Hypothesis(tuple(terms), np.array(theta))
+                of_drive = catalogue()[name].basic_modes
+                terms += [Term(name, joint) for joint, mode in enumerate(modes) if mode in of_drive]
+        return terms
+
+    def modes_of(self, problem: Problem) -> list[str]:
+        """Return the (joints,) command mode of each joint's drive; empty for a known drive."""
+        return [
+            "" if joint in self.known_drives else problem.simulator.segments[0].mode_of(j)
+            for j, joint in enumerate(problem.joints)
+        ]
+
+    def start(self, problem: Problem) -> Hypothesis:
+        """Return the basic effects with the values of the equation error, where it has some.
+
+        The simulation error has many minima; these values are near the right one.
+        """
+        values, modes = first_values(problem), self.modes_of(problem)
+        found = EMPTY
+        for term in (term for stage in self.order for term in self.terms_of(stage, modes)):
+            theta = np.array(
+                list(map(partial(_first_value, problem, values, term), term.parameters))
+            )
+            if term.joint >= 0 and not np.isnan(theta).all():
+                neutral = [p.absent_value for p in term.parameters]
+                found = found.with_term(term, np.where(np.isnan(theta), neutral, theta))
+        return found
+
+
+def _first_value(problem: Problem, values: FloatArray, term: Term, parameter: Parameter) -> float:
+    """Return the scaled first value of a parameter within its bounds; NaN without one."""
+    column = _first_column(term.law, parameter)
+    if column is None or term.joint < 0:
+        return np.nan
+    value = values[term.joint, column]
+    scaled = value - 1.0 if column == _GAIN else value / problem.scales.value(parameter, term.joint)
+    return float(np.clip(scaled, parameter.lower, parameter.upper))
 
 
 def _first_column(effect: Effect, parameter: Parameter) -> int | None:
