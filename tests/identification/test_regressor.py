@@ -204,3 +204,11 @@ def test_parameters_without_motion_are_undetermined(tmp_path):
     assert open_["Iyy1 + Ia1 + 0.25*m2"]
     assert not open_["fv2"]
     assert np.isinf(predicted.std[base.expressions.index("fv1")])
+
+
+def test_a_rounded_right_angle_leaves_friction_its_own_name(tmp_path):
+    """An exporter writes 1.5708 rad: the angle is off by 7e-6 rad."""
+    text = TWO_LINKS.replace('<body name="upper">', '<body name="upper" euler="90 0 0">')
+    text = text.replace('pos="0.5 0 0">', 'pos="0.5 0 0" euler="90.0004 0 0">')
+    base = structural_base(Regressor(model_of(text, tmp_path), ["shoulder", "elbow"]))
+    assert {"fv1", "fs1", "Ixx2 - Izz2", "fv2", "fs2"} <= set(base.expressions)

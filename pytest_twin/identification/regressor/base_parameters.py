@@ -23,9 +23,10 @@ _RELEVANT_SHARE = 1e-3
 """Smallest coefficient, for columns of unit length, with which a motion regroups parameters."""
 _SAMPLES_PER_COLUMN = 4
 """Number of random samples for each column per joint: more equations than parameters."""
-_COEFFICIENT_TOLERANCE = 1e-9
-"""Smallest coefficient of an expression, for columns of unit length. Smaller ones are rounding
-errors."""
+_COEFFICIENT_TOLERANCE = 1e-5
+"""Smallest coefficient of an expression, for columns of unit length. Smaller ones are rounding: a
+right angle of an exporter is off by up to 1e-5 rad. With them friction would have no name of its
+own."""
 _DIGITS = 6
 """Number of significant digits of a coefficient in an expression."""
 
