@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.linalg
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.estimation.score import effective_samples
-from pytest_twin.identification.effort.law_columns import EffortRows, Shape
+from pytest_twin.identification.effort.law_columns import Shape
 
 _PRIORS = (0.02, 0.06, 0.2)
 """Possible standard deviations of an amplitude before any recording: its effort relative to the RMS
@@ -29,8 +30,33 @@ _LEAST_NOISE = 1e-4
 """Smallest noise relative to the RMS effort: simulated recordings have none."""
 _FIRST_NOISE = 0.3
 """Noise relative to the RMS effort with which the estimates of the noise begin."""
-_RIDGE = 1e-9
-"""Relative size that keeps the equations of a single law solvable."""
+_RIDGE, _LEAST_RIDGE = 1e-9, 1e-12
+"""Relative size that keeps the equations of a single law solvable, and the least size for a law
+that does not act in these recordings."""
+
+
+class RecordedRows(Protocol):
+    """Rows of one recording, joint by joint: of efforts, or of positions."""
+
+    @property
+    def recording(self) -> Any:
+        """The recording, with ``path``, ``start`` and ``metadata``."""
+
+    @property
+    def time(self) -> FloatArray:
+        """(n,) s."""
+
+    @property
+    def effort(self) -> FloatArray:
+        """(n, joints) what the model leaves; NaN where unknown."""
+
+    @property
+    def columns(self) -> tuple[NDArray[np.intp], ...]:
+        """For each joint, (k,) indices of the columns that act on it."""
+
+    @property
+    def matrix(self) -> tuple[FloatArray, ...]:
+        """For each joint, (n, k) change per unit of these amplitudes."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +70,13 @@ class Rows:
         sums: for each recording and joint, (k, k) and (k,) sums of scaled rows.
     """
 
-    parts: tuple[EffortRows, ...]
+    parts: tuple[RecordedRows, ...]
     size: FloatArray
     scale: FloatArray
     sums: tuple[tuple[tuple[FloatArray, FloatArray], ...], ...]
 
     @classmethod
-    def of(cls, parts: Sequence[EffortRows], size: FloatArray, count: int) -> Rows:
+    def of(cls, parts: Sequence[RecordedRows], size: FloatArray, count: int) -> Rows:
         """Sum the rows of recordings.
 
         Args:
@@ -98,7 +124,7 @@ class Rows:
         return [np.nan_to_num(self.parts[i].effort - self.effort_of(i, amplitudes)) for i in which]
 
 
-def _sums(part: EffortRows, joint: int, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _sums(part: RecordedRows, joint: int, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
     known = np.isfinite(part.effort[:, joint])
     rows = part.matrix[joint][known] * scale[part.columns[joint]]
     return rows.T @ rows, rows.T @ part.effort[known, joint]
@@ -208,10 +234,9 @@ class Remainder:
 
         Each joint has the weight of its own mean squared residual.
         """
-        information = np.einsum("j,jab->ab", 1.0 / self.power, self._own(columns))
-        information += _RIDGE * np.trace(information) * np.eye(len(columns))
+        information = _solvable(np.einsum("j,jab->ab", 1.0 / self.power, self._own(columns)))
         right = (1.0 / self.power) @ self.vector[:, columns]
-        return np.linalg.solve(information, right), information
+        return np.asarray(np.linalg.solve(information, right)), information
 
     def seeming_covariances(
         self, shapes: Sequence[Shape], covariance: FloatArray
@@ -228,11 +253,7 @@ class Remainder:
         covariances = []
         for shape in shapes:
             square = np.ix_(shape.indices, shape.indices)
-            shape_information = information[square]
-            inverse = np.linalg.inv(
-                shape_information
-                + _RIDGE * np.trace(shape_information) * np.eye(len(shape_information))
-            )
+            inverse = np.linalg.inv(_solvable(information[square]))
             covariances.append(inverse @ spread[square] @ inverse)
         return covariances
 
@@ -250,3 +271,9 @@ class Remainder:
 
     def _own(self, columns: NDArray[np.intp]) -> FloatArray:
         return self.matrix[:, columns[:, None], columns]
+
+
+def _solvable(information: FloatArray) -> FloatArray:
+    """(k, k) information of a law with the ridge that lets it be solved."""
+    ridge = _RIDGE * np.trace(information) + _LEAST_RIDGE
+    return np.asarray(information + ridge * np.eye(len(information)))

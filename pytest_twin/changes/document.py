@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.changes.comparison import Change
+from pytest_twin.changes.comparison import Change, Comparison
 from pytest_twin.changes.find_changes import Changes
 from pytest_twin.effects.base import si_unit
 from pytest_twin.estimation.hypothesis import Term
@@ -21,43 +22,66 @@ _MOST_WINDOWS = 8
 
 
 def changes_document(found: Changes, *, level: float, release: int | None = None) -> dict[str, Any]:
-    """Content of ``diagnosis.json`` with ``--before``, schema 1.
+    """Content of ``diagnosis.json`` with ``--before`` by measured effort, schema 1.
 
     Args:
         level: level of the alarm.
         release: number of the release whose recordings are the earlier ones.
     """
     comparison = found.comparison
-    verdict = "no_change"
-    if comparison.is_changed:
-        verdict = "changed" if comparison.changes else "changed_unnamed"
-    null = comparison.null
+    slides = found.laws.dynamics.slides
+    units = [si_unit("effort", bool(slide)) for slide in slides]
     return {
         "schema": 1,
-        "verdict": verdict,
+        "verdict": verdict_of(comparison.is_changed, bool(comparison.changes)),
         "by": "measured effort",
         "before": {"recordings": _names(found, found.before), "release": release},
         "new": _names(found, found.new),
         "findings": [_finding(found, change) for change in comparison.changes],
-        "alarm": {
-            "score": _number(comparison.score),
-            "threshold": _number(comparison.threshold),
-            "level": level,
-            "sessions": found.sessions,
-            "degrees_of_freedom": null.freedom if null.is_t_law(level) else None,
-            "scores_before": [_number(s) for s in null.scores],
-        },
-        "effort": {
-            joint: {
-                "rms_usual": _number(comparison.usual[j]),
-                "rms_before": _number(comparison.before[j]),
-                "rms_after": _number(comparison.after[j]),
-                "unit": si_unit("effort", bool(found.laws.dynamics.slides[j])),
-            }
-            for j, joint in enumerate(found.laws.joints)
-        },
+        "alarm": alarm_json(comparison, level, found.sessions),
+        "effort": residuals_json(comparison, found.laws.joints, units, comparison.after),
         "model_changes": [],
         "notes": list(found.notes),
+    }
+
+
+def verdict_of(is_changed: bool, is_named: bool) -> str:
+    """Verdict of a comparison."""
+    if not is_changed:
+        return "no_change"
+    return "changed" if is_named else "changed_unnamed"
+
+
+def alarm_json(comparison: Comparison, level: float, sessions: str) -> dict[str, Any]:
+    """Score, threshold, and what the threshold is from."""
+    null = comparison.null
+    return {
+        "score": number(comparison.score),
+        "threshold": number(comparison.threshold),
+        "level": level,
+        "sessions": sessions,
+        "degrees_of_freedom": null.freedom if null.is_t_law(level) else None,
+        "scores_before": [number(s) for s in null.scores],
+    }
+
+
+def residuals_json(
+    comparison: Comparison, joints: Sequence[str], units: Sequence[str], after: FloatArray
+) -> dict[str, dict[str, Any]]:
+    """Joint -> RMS residual: usual, of the later recordings, and with the changes.
+
+    Args:
+        units: unit of each joint's residual.
+        after: (joints,) RMS residual with the changes.
+    """
+    return {
+        joint: {
+            "rms_usual": number(comparison.usual[j]),
+            "rms_before": number(comparison.before[j]),
+            "rms_after": number(after[j]),
+            "unit": units[j],
+        }
+        for j, joint in enumerate(joints)
     }
 
 
@@ -86,7 +110,7 @@ def _finding(found: Changes, change: Change) -> dict[str, Any]:
         if k not in shape.columns and shape.term.law.has(shape.values)[k]:
             value = p.reported(float(shape.values[k]))
             unit = p.unit("slide" if slide else "hinge")
-            parameters[p.reported_name] = {"value": _number(value), "unit": unit, "ci95": None}
+            parameters[p.reported_name] = {"value": number(value), "unit": unit, "ci95": None}
     return {
         "effect": shape.term.effect,
         "joint": _joint(found, shape.term),
@@ -146,9 +170,10 @@ def _spans(time: FloatArray, acts: NDArray[np.bool_]) -> list[list[float]]:
 
 def _estimate(value: float, deviation: float, unit: str) -> dict[str, Any]:
     half = Z95 * deviation
-    interval = [_number(value - half), _number(value + half)]
-    return {"value": _number(value), "unit": unit, "ci95": interval}
+    interval = [number(value - half), number(value + half)]
+    return {"value": number(value), "unit": unit, "ci95": interval}
 
 
-def _number(value: float) -> float:
+def number(value: float) -> float:
+    """A value with six significant digits."""
     return float(f"{value:.6g}")

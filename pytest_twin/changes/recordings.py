@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -59,6 +60,23 @@ def has_efforts(recordings: Iterable[MeasuredRecording]) -> bool:
     return all(bool(np.isfinite(one.effort).any()) for one in recordings)
 
 
+def refuse_without_commands(compared: Compared) -> None:
+    """Refuse recordings that can be compared neither by effort nor by simulation.
+
+    Raises:
+        RecordingError: a recording has no measured effort and no commands.
+    """
+    for recording in compared.every:
+        if recording.command is None and not has_efforts([recording]):
+            raise RecordingError(
+                "no measured effort of a joint, and no commands to simulate",
+                path=recording.path,
+                where="effort",
+                expected="measured efforts in the earlier and the new recordings, or commands in "
+                "all of them",
+            )
+
+
 def read_compared(
     realization: Realization,
     before: Sequence[Path],
@@ -102,8 +120,8 @@ def read_compared(
                 path=one.path,
                 expected="other recordings before and after the change",
             )
-    _refuse_undeclared_payloads(realization, groups[0], [*groups[1], *groups[2]])
-    notes += _temperature_notes(groups[0], groups[1])
+    refuse_undeclared_payloads(realization, groups[0], [*groups[1], *groups[2]])
+    notes += temperature_notes(groups[0], groups[1])
     read = reduce_to_common_joints(groups[0], [*groups[1], *groups[2]], notes)
     read = without_amounts(realization, read)
     later = read.held_out
@@ -133,15 +151,29 @@ def _without_copies(
     return list(kept.values())
 
 
-def _refuse_undeclared_payloads(
-    realization: Realization,
-    before: Sequence[MeasuredRecording],
-    later: Sequence[MeasuredRecording],
+class Described(Protocol):
+    """A recording with its metadata."""
+
+    @property
+    def path(self) -> Path:
+        """Its file or folder."""
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """The record ``trial``."""
+
+
+def refuse_undeclared_payloads(
+    realization: Realization, before: Sequence[Described], later: Sequence[Described]
 ) -> None:
-    """Refuse payloads that differ and whose mass the twin does not state."""
+    """Refuse payloads that differ and whose mass the twin does not state.
+
+    Raises:
+        RecordingError: a payload of ``later`` differs and is not declared.
+    """
     stated = () if realization.twin is None else realization.twin.payloads
 
-    def unknown(one: MeasuredRecording) -> str:
+    def unknown(one: Described) -> str:
         payload = one.metadata.get("payload", "")
         return "" if payload.lower() in NO_PAYLOAD or payload in stated else payload
 
@@ -158,9 +190,8 @@ def _refuse_undeclared_payloads(
             )
 
 
-def _temperature_notes(
-    before: Sequence[MeasuredRecording], new: Sequence[MeasuredRecording]
-) -> list[str]:
+def temperature_notes(before: Sequence[Described], new: Sequence[Described]) -> list[str]:
+    """A line if the new recordings are warmer or colder than the earlier ones."""
     stated = [
         [t for one in recordings if (t := one.metadata.get(TEMPERATURE_KEY))]
         for recordings in (before, new)
@@ -196,7 +227,7 @@ def _with_common_efforts(read: Compared) -> Compared:
     )
 
 
-def sessions_of(recordings: Sequence[MeasuredRecording]) -> tuple[list[list[int]], str]:
+def sessions_of(recordings: Sequence[Described]) -> tuple[list[list[int]], str]:
     """Recordings of each session, and how sessions were distinguished.
 
     Recordings of one session share their conditions. With dates of at least three days a day is a

@@ -28,8 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     group = parser.add_argument_group(
         "what changed since earlier recordings",
-        "RECORDING is compared with earlier recordings of the same robot, by measured effort; an "
-        "error that the model had before is no change, and roles are ignored",
+        "RECORDING is compared with earlier recordings of the same robot, by measured effort, or "
+        "by simulation where efforts are missing; an error that the model had before is no "
+        "change, and roles are ignored",
     )
     group.add_argument(
         "--before",
@@ -62,8 +63,11 @@ def parse_level(text: str) -> float:
     return level
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace, seconds: float) -> int:
     """Compare; return 0 if nothing changed, else 1.
+
+    Args:
+        seconds: limit of the processor time, s; 0 for no limit.
 
     Raises:
         TwinError: the input cannot be used.
@@ -81,10 +85,13 @@ def run(args: argparse.Namespace) -> int:
         "topics": args.topics,
         "options": recording_options(args),
         "level": args.alarm_level,
+        "seconds": seconds,
     }
+    progress = Progress("comparing")
     with (
-        Progress("comparing") as progress,
-        child_result(out, DIAGNOSIS_FILE, 0.0, None, alone=True) as (staging, sandbox),
+        progress.stopping_early("the best result so far is written") as stop,
+        progress,
+        child_result(out, DIAGNOSIS_FILE, seconds, stop, alone=True) as (staging, sandbox),
     ):
         document: dict[str, Any] = sandbox.call(
             "pytest_twin.changes.compare_files:compare_files",

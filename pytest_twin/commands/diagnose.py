@@ -139,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
             expected="a model and at least one recording, or --fleet FILE.yaml",
         )
     if args.before:
-        return before.run(args)
+        return before.run(args, arguments["seconds"])
     if args.scheduler is not None or args.jobs is not None:
         raise TwinError(
             "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml too"

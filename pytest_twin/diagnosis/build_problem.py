@@ -55,7 +55,8 @@ def build_problem(
             notes += _notes_on_assumptions(prepared, everything, setup.outside_mjcf, idle)
             # Under this noise floor no residual counts, and no fit depends on the joint.
             unseen = np.isin(problem.joints, [*trials.unseen, *idle])
-            floor = np.where(unseen, UNSEEN, problem.floor)
+            known_error = [trials.model_error.get(joint, 0.0) for joint in problem.joints]
+            floor = np.where(unseen, UNSEEN, np.hypot(problem.floor, known_error))
             return replace(prepared, problem=replace(problem, floor=floor)), trials
         for i in sorted(diverged):
             notes.append(f"left out: {everything[i].path}: the simulation of the model diverges")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ class TrialSet:
         notes: roles, trials that were left out, and doubts, one line each.
         unseen: joints whose encoder is stuck in ``fit``; their error is not evaluated.
         untested: joints whose encoder is stuck in ``held_out``; their error there is not evaluated.
+        model_error: joint -> RMS error of the model that counts as noise, rad or m.
     """
 
     fit: tuple[Trial, ...]
@@ -35,6 +36,7 @@ class TrialSet:
     notes: tuple[str, ...]
     unseen: frozenset[str] = frozenset()
     untested: frozenset[str] = frozenset()
+    model_error: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_trials(

@@ -33,9 +33,10 @@ def words(document: Mapping[str, Any]) -> list[str]:
         lines.append(f"    Confidence: {percent(finding['confidence'])}. {_gain(finding)}")
         if rivals := ambiguity_sentence(finding):
             lines.append(f"    {rivals}")
-    lines.append("  RMS residual of the effort, usual, now, and with the changes:")
-    width = max(len(joint) for joint in document["effort"])
-    for joint, error in document["effort"].items():
+    signal, errors = _residuals(document)
+    lines.append(f"  RMS residual of the {signal}, usual, now, and with the changes:")
+    width = max(len(joint) for joint in errors)
+    for joint, error in errors.items():
         usual, before, after = _errors(error)
         lines.append(f"    {joint:<{width}}  {usual}, {before}, {after}")
     lines += [f"  Note: {note}" for note in document["notes"]]
@@ -81,8 +82,15 @@ def render(document: Mapping[str, Any]) -> str:
             }
             for finding in document["findings"]
         ],
-        errors=[(joint, *_errors(error)) for joint, error in document["effort"].items()],
+        signal=_residuals(document)[0],
+        errors=[(joint, *_errors(error)) for joint, error in _residuals(document)[1].items()],
     )
+
+
+def _residuals(document: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    """The compared signal and its residual at each joint."""
+    signal = "effort" if "effort" in document else "position"
+    return signal, document[signal]
 
 
 def _rows(finding: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:

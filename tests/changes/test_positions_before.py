@@ -1,0 +1,106 @@
+"""``diagnose --before``: what changed between recordings without efforts, by simulation."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_twin.cli import main
+
+sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
+from two_pendulums import DECLARED, mjcf, record
+
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+JOINTS = ("left",)
+WRONG = {"viscous": 0.02, "dry": 0.03}
+"""What the model lacks in all recordings."""
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a model without dry friction, and recordings of the pendulum before."""
+    folder = tmp_path_factory.mktemp("robot")
+    (folder / "model.xml").write_text(mjcf(JOINTS))
+    for seed in range(4):
+        record(folder / f"old{seed}.mcap", seed, seconds=2.0, joints=JOINTS, **WRONG)
+    return folder
+
+
+def new_recording(folder: Path, **hidden: float) -> Path:
+    return record(folder / "new.mcap", 20, seconds=2.0, joints=JOINTS, **(WRONG | hidden))
+
+
+def compare(robot: Path, out: Path, *new: Path, seconds: str = "0") -> tuple[int, dict[str, Any]]:
+    earlier = [str(robot / f"old{seed}.mcap") for seed in range(4)]
+    status = main([
+        "diagnose", str(robot / "model.xml"), *map(str, new), "--before", *earlier,
+        "--out", str(out), "--seconds", seconds,
+    ])  # fmt: skip
+    document = json.loads((out / "diagnosis.json").read_text()) if status < 2 else {}
+    return status, document
+
+
+def test_unchanged_positions_are_no_change_although_the_model_is_wrong(
+    robot: Path, tmp_path: Path
+) -> None:
+    status, document = compare(robot, tmp_path / "out", new_recording(tmp_path))
+    assert (status, document["verdict"], document["findings"]) == (0, "no_change", [])
+    assert document["by"] == "simulation"
+
+
+def test_more_dry_friction_is_named_with_the_value_before(robot: Path, tmp_path: Path) -> None:
+    status, document = compare(robot, tmp_path / "out", new_recording(tmp_path, dry=0.08))
+    assert (status, document["verdict"]) == (1, "changed")
+    (finding,) = document["findings"]
+    assert (finding["effect"], finding["joint"]) == ("coulomb_friction", "left")
+    low, high = finding["change"]["coulomb"]["ci95"]
+    assert low < 0.05 < high
+    assert finding["known_before"]["coulomb"]["value"] == pytest.approx(0.03, abs=0.002)
+    assert finding["parameters"]["coulomb"]["value"] == pytest.approx(0.08, abs=0.004)
+    assert finding["held_out_gain"] is None
+    assert document["position"]["left"]["unit"] == "rad"
+    assert "Coulomb friction" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_later_command_is_a_delay_of_commands_or_readings(robot: Path, tmp_path: Path) -> None:
+    _, document = compare(robot, tmp_path / "out", new_recording(tmp_path, delay=0.012))
+    (finding,) = document["findings"]
+    assert finding["effect"] in ("command_delay", "sensor_delay")
+    assert finding["change"]["delay"]["value"] == pytest.approx(0.012, abs=0.002)
+    # Positions alone do not tell a late command from a late reading.
+    assert finding["confidence"] < 0.6
+
+
+def test_at_the_time_limit_the_best_answer_is_given(robot: Path, tmp_path: Path) -> None:
+    status, document = compare(
+        robot, tmp_path / "out", new_recording(tmp_path, dry=0.08), seconds="0.1"
+    )
+    assert (status, document["verdict"]) in ((1, "changed"), (1, "changed_unnamed"))
+    assert any("the search ended early" in note for note in document["notes"])
+    assert all(finding["confidence"] <= 0.5 for finding in document["findings"])
+
+
+def test_a_copy_of_an_earlier_recording_is_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copied = tmp_path / "renamed.mcap"
+    copied.write_bytes((robot / "old2.mcap").read_bytes())
+    assert compare(robot, tmp_path / "out", copied)[0] == 2
+    assert "the same recording is given with --before, as old2.mcap" in capsys.readouterr().err
+
+
+def test_an_undeclared_payload_is_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loaded = record(
+        tmp_path / "new.mcap", 20, seconds=2.0, joints=JOINTS,
+        metadata={**DECLARED, "payload": "box"}, **WRONG,
+    )  # fmt: skip
+    assert compare(robot, tmp_path / "out", loaded)[0] == 2
+    error = capsys.readouterr().err
+    assert "its payload differs" in error
+    assert "payloads: in twin.yaml" in error
