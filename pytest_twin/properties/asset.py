@@ -21,6 +21,7 @@ from pytest_twin.properties.form import (
     usd_form,
 )
 from pytest_twin.properties.tolerances import Tolerances
+from pytest_twin.properties.trees import joint_names
 
 _GOLDEN = 0.6180339887498949
 """Golden ratio minus 1: its multiples modulo 1 are spread evenly."""
@@ -96,8 +97,8 @@ class Asset:
         """Joint -> mass of all bodies that it moves, kg."""
         model = self.simulated[0].model
         return {
-            model.joint(i).name: float(model.body_subtreemass[int(model.jnt_bodyid[i])])
-            for i in range(model.njnt)
+            name: float(model.body_subtreemass[int(body)])
+            for name, body in zip(joint_names(model), model.jnt_bodyid, strict=True)
         }
 
     @cached_property

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pytest_twin.properties.agreement import Q, gravity_scales, matrix_of
 from pytest_twin.properties.asset import Asset
 from pytest_twin.properties.form import Form
+from pytest_twin.properties.trees import joint_names
 from pytest_twin.properties.violation import Broken
 from pytest_twin.realization.tree import inverse
 
@@ -144,11 +145,12 @@ def coriolis_forces(asset: Asset, q: Q) -> Iterator[Broken]:
         if not names:
             continue
         rates = np.array([asset.velocity.get(joint, 1.0) for joint in names])
-        index = [int(model.joint(name).dofadr[0]) for name in names]
+        joint_ids = [joint_names(model).index(name) for name in names]
+        index = model.jnt_dofadr[joint_ids].tolist()
         data = mujoco.MjData(model)
-        for name in names:
+        for name, joint_id in zip(names, joint_ids, strict=True):
             if name in q:
-                data.qpos[int(model.joint(name).qposadr[0])] = q[name]
+                data.qpos[int(model.jnt_qposadr[joint_id])] = q[name]
         mujoco.mj_fwdPosition(model, data)
         forces = []
         for scale in (1.0, 0.0):
@@ -223,9 +225,10 @@ def _drift(asset: Asset, form: Form, q: Q, timestep: float) -> tuple[float, floa
         _MIN_INERTIA_SHARE * diagonal.max(initial=0.0) - diagonal, 0.0
     )
     for name in form.dynamics.joints:
-        joint = model.joint(name)
-        data.qpos[int(joint.qposadr[0])] = q.get(name, float(model.qpos0[int(joint.qposadr[0])]))
-        data.qvel[int(joint.dofadr[0])] = asset.velocity.get(name, 0.0)
+        joint_id = joint_names(model).index(name)
+        address = int(model.jnt_qposadr[joint_id])
+        data.qpos[address] = q.get(name, float(model.qpos0[address]))
+        data.qvel[int(model.jnt_dofadr[joint_id])] = asset.velocity.get(name, 0.0)
     mujoco.mj_forward(model, data)
     start, drift, kinetic = float(data.energy.sum()), 0.0, float(data.energy[1])
     for _ in range(round(_DURATION / timestep)):

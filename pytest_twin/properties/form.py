@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.asset.loss.description import Description, Dynamics, JointFacts, LinkFacts
+from pytest_twin.properties.trees import joint_names
 
 if TYPE_CHECKING:
     from pytest_twin.realization import Realization
@@ -264,6 +265,6 @@ def _kinds(realization: Realization) -> dict[str, JointFacts]:
     }
     model = realization.model
     return {
-        model.joint(i).name or f"joint#{i}": JointFacts(kinds[int(model.jnt_type[i])])
-        for i in range(model.njnt)
+        name: JointFacts(kinds[int(kind)])
+        for name, kind in zip(joint_names(model), model.jnt_type, strict=True)
     }

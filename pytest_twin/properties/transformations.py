@@ -104,7 +104,8 @@ def _from_reference(form: Form, q: Q) -> dict[str, float]:
     model = form.model
     found = {}
     for joint in form.dynamics.joints:
-        start = float(model.qpos0[int(model.joint(joint).qposadr[0])])
+        joint_id = trees.joint_names(model).index(joint)
+        start = float(model.qpos0[model.jnt_qposadr[joint_id]])
         found[joint] = q.get(joint, start) - start
     return found
 

@@ -187,6 +187,11 @@ def _rpy(rotation: Vector) -> tuple[float, float, float]:
     return math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
 
 
+def joint_names(model: Any) -> list[str]:
+    """Names of all joints of a MuJoCo model; one without a name is ``joint#`` and its index."""
+    return [model.joint(i).name or f"joint#{i}" for i in range(model.njnt)]
+
+
 def _joint(model: Any, index: int) -> TreeJoint:
     import mujoco
 
@@ -194,7 +199,7 @@ def _joint(model: Any, index: int) -> TreeJoint:
     anchor = np.eye(4)
     anchor[:3, 3] = model.jnt_pos[index]
     return TreeJoint(
-        model.joint(index).name or f"joint#{index}",
+        joint_names(model)[index],
         "slide" if slide else "hinge",
         np.array(model.jnt_axis[index]),
         anchor,

@@ -469,6 +469,20 @@ def test_a_usd_stage_is_compared_with_the_other_realizations(tmp_path: Path) -> 
         PROPERTIES["couplings"].hold(mixed)
 
 
+def test_the_properties_of_an_mjcf_with_ground_and_an_ellipsoid_hold(tmp_path: Path) -> None:
+    path = tmp_path / "cart.xml"
+    path.write_text(
+        "<mujoco><worldbody><geom type='plane' size='1 1 .1'/><body name='cart'>"
+        "<joint type='slide'/>"
+        "<geom type='ellipsoid' size='.1 .2 .3' mass='1'/></body></worldbody></mujoco>"
+    )
+    asset = load_asset(path, usd=False)
+    for made in PROPERTIES.values():
+        made.hold(asset)
+    (shape,) = asset.forms[0].description.shapes["cart"]
+    assert (shape.kind, shape.upper.tolist()) == ("ellipsoid", [0.1, 0.2, 0.3])
+
+
 def test_two_joints_of_one_body_become_separate_links(tmp_path: Path) -> None:
     path = tmp_path / "two.xml"
     path.write_text(

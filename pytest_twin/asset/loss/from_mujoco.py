@@ -291,7 +291,10 @@ def _equalities(
 
 def _colliding_geoms(model: mujoco.MjModel) -> dict[str, list[int]]:
     found: dict[str, list[int]] = {}
+    ground = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
     for geom in range(model.ngeom):
+        if model.geom_type[geom] in ground:
+            continue
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
             body = _name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.geom_bodyid[geom]))
             found.setdefault(body, []).append(geom)
@@ -308,6 +311,8 @@ def _shape(model: mujoco.MjModel, geom: int) -> Shape:
         return shapes.of_box(2 * size, pose)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return shapes.of_sphere(size[0], pose)
+    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        return shapes.of_ellipsoid(size, pose)
     if kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
         word = kind.name.removeprefix("mjGEOM_").lower()
         return shapes.of_round(word, size[0], 2 * size[1], pose)

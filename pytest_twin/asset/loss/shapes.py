@@ -12,10 +12,11 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """One collision shape.
+    """One collision shape. Planes and height fields are ground, not a part of a robot.
 
     Attributes:
-        kind: ``box``, ``sphere``, ``cylinder``, ``capsule``, ``mesh`` or ``convex hull``.
+        kind: ``box``, ``sphere``, ``ellipsoid``, ``cylinder``, ``capsule``, ``mesh`` or
+            ``convex hull``.
         lower, upper: (3,) corners of its bounding box along the link's axes, m.
     """
 
@@ -50,6 +51,12 @@ def of_box(size: Vector, pose: Vector) -> Shape:
 def of_sphere(radius: float, pose: Vector) -> Shape:
     """``radius`` in m."""
     return Shape("sphere", pose[:3, 3] - radius, pose[:3, 3] + radius)
+
+
+def of_ellipsoid(radii: Vector, pose: Vector) -> Shape:
+    """``radii`` (3,) half axes, m."""
+    half = np.linalg.norm(pose[:3, :3] * np.asarray(radii), axis=1)
+    return Shape("ellipsoid", pose[:3, 3] - half, pose[:3, 3] + half)
 
 
 def of_round(kind: str, radius: float, length: float, pose: Vector) -> Shape:
