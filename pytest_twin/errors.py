@@ -139,10 +139,6 @@ class ModelError(TwinError):
     """A robot model that cannot be simulated."""
 
 
-class EngineVersionError(TwinError):
-    """A simulator that is too old for what is asked, or that cannot be imported."""
-
-
 class RecordingError(TwinError):
     """A recording that cannot be converted to a trial."""
 

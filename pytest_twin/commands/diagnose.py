@@ -249,7 +249,6 @@ def diagnose_files(
     from pytest_twin.diagnosis.unit_check import drop_other_units
     from pytest_twin.gate.diagnosis_folder import write_diagnosis
     from pytest_twin.loaded_model import load_model
-    from pytest_twin.realization.engine import require_batches
     from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
     from pytest_twin.realization.record_inputs import states_of_records
     from pytest_twin.records.state import stale_lines
@@ -257,7 +256,6 @@ def diagnose_files(
     from pytest_twin.report.quick_diagnosis import quick_diagnosis_in_words
     from pytest_twin.trial.command_field import refuse_unfit_modes
 
-    require_batches("a diagnosis")
     asked = DiagnosisRequest(**request)
     budget = Budget(asked.seconds, begin=call_began())
     options = RecordingOptions.from_json(asked.options)

@@ -23,7 +23,7 @@ from pytest_twin.effects.link_inertia import link_inertia
 from pytest_twin.effects.point_mass import change_links
 from pytest_twin.effects.sampling import age_of_initial_state
 from pytest_twin.effects.segment import Segment
-from pytest_twin.realization.engine import Batch, new_batch, require_batches
+from pytest_twin.realization.engine import Batch, new_batch
 
 ROW_ATTRIBUTES = (
     "time", "position", "velocity", "setpoint", "gain", "stiffness", "damping", "offset", "lower",
@@ -130,7 +130,6 @@ class BatchModels:
         *,
         disable_unused: bool = True,
     ) -> None:
-        require_batches("a simulation of effects (diagnose, identify by simulation, randomize)")
         self.segments = segments
         self.layout = layout
         self.timestep = timestep

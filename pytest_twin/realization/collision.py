@@ -21,6 +21,7 @@ from pytest_twin.realization.collision_filter import (
     are_one_or_linked,
     have_matching_masks,
 )
+from pytest_twin.realization.engine import geom_distance
 from pytest_twin.realization.model import Realization
 
 Vector = NDArray[np.float64]
@@ -85,7 +86,7 @@ class Shapes:
                 the distance to every shape.
         """
         return min(
-            float(mujoco.mj_geomDistance(self._model, data, a, b, self._bound(data, a, b), None))
+            geom_distance(self._model, data, (a, b), self._bound(data, a, b))
             for a, b in self._ordered(first, second)
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
 
 from pytest_twin.realization import patch
 
@@ -28,8 +29,8 @@ def fix_base(spec: mujoco.MjSpec) -> list[str]:
     bases = _floating_bases(spec)
     if not bases:
         return []
-    # Deleting joints of a compiled spec also removes their coordinates from keyframes.
     whole = spec.compile()
+    joints = [joint.id for base in bases for joint in base.joints]
     notes = []
     for base in bases:
         position = " ".join(f"{x:.4g}" for x in whole.body_pos[base.id])
@@ -37,7 +38,22 @@ def fix_base(spec: mujoco.MjSpec) -> list[str]:
         notes.append(f"base: fixed: {name} is held at {position} m")
         for joint in list(base.joints):
             spec.delete(joint)
+    _shorten_keyframes(spec, whole, joints)
     return notes
+
+
+def _shorten_keyframes(spec: mujoco.MjSpec, whole: mujoco.MjModel, joints: list[int]) -> None:
+    """Remove the coordinates of deleted joints from keyframes; MuJoCo 4 does it on deletion."""
+    for name, first, size in (
+        ("qpos", whole.jnt_qposadr, whole.nq),
+        ("qvel", whole.jnt_dofadr, whole.nv),
+    ):
+        ends = np.append(first[1:], size)
+        dropped = [np.arange(first[joint], ends[joint]) for joint in joints]
+        for key in spec.keys:
+            values = np.array(getattr(key, name))
+            if values.size == size:
+                setattr(key, name, np.delete(values, np.concatenate(dropped)))
 
 
 def _floating_bases(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SimulationError
+from pytest_twin.realization.engine import geom_distance
 from pytest_twin.realization.features.elements import colliding_geoms
 from pytest_twin.realization.simulate import geom_name
 
@@ -206,7 +207,7 @@ def distance(
     ends: Vector = np.zeros(6)
     for a in first:
         for b in second:
-            found = float(mujoco.mj_geomDistance(model, data, a, b, _MAX_DISTANCE, ends))
+            found = geom_distance(model, data, (a, b), _MAX_DISTANCE, ends)
             if found < best:
                 best = found
                 span = ends[3:] - ends[:3]

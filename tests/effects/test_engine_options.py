@@ -8,11 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mujoco.batch import Batch
 
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.engine_options import disable_unused_features
 from pytest_twin.effects.segment import Segment
+from pytest_twin.realization.engine import Batch
 
 ARM = """\
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>{floor}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
+from pytest_twin.realization.engine import Batch, new_batch
 from pytest_twin.realization.lockstep import lockstep
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
@@ -19,7 +19,7 @@ STEPS = 60
 
 def step_pendulums(pushed: dict[int, float], rows: int = 3) -> tuple[np.ndarray, list[int], Batch]:
     """Final angles, steps begun and batch; ``pushed`` maps rows to the torque from step 10 on."""
-    batch = Batch(mujoco.MjModel.from_xml_string(PENDULUM), rows, nthread=1)
+    batch = new_batch(mujoco.MjModel.from_xml_string(PENDULUM), rows, 1)
     angle, control = batch.bind("qpos"), batch.bind("ctrl")
     begun: list[int] = []
 

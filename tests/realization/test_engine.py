@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pytest_twin.errors import EngineVersionError, ModelError
+from pytest_twin.errors import ModelError
 from pytest_twin.realization import engine, load, simulate
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.realization.row_loop import RowError, RowLoop
@@ -70,6 +70,31 @@ def test_rows_without_a_batch_move_as_in_a_batch(pushed: int | None) -> None:
 
 
 @needs_batch
+def test_rows_with_their_own_model_fields_move_as_in_a_batch() -> None:
+    model = mujoco.MjModel.from_xml_string(ARM)
+    motions = []
+    for rows in (RowLoop(model, 3), engine.new_batch(model, 3, 1)):
+        rows.expand("dof_damping")[:] += [[0.0, 0.0], [0.5, 0.0], [0.0, 2.0]]
+        rows.expand("body_mass")[:, 2] *= [1.0, 2.0, 0.5]
+        rows.expand("opt.gravity")[1, 0] = 3.0
+        rows.set_const()
+        qpos, load = rows.bind("qpos"), rows.bind("qfrc_bias")
+        ctrl = rows.bind("ctrl")
+        qpos[:] = [[0.1, -0.2], [0.3, 0.0], [0.0, 0.4]]
+        rows.forward()
+        motion = [load.copy()]
+        for k in range(60):
+            ctrl[:, 0] = 0.1 * k
+            rows.expand("dof_frictionloss")[2, 1] = 0.01 * k
+            rows.step([0, 2] if k % 3 == 0 else None)
+            motion += [qpos.copy(), load.copy(), rows.bind("qvel").copy()]
+        out = rows.rollout(40, controls()[:, :40], record=("qpos", "qacc"))
+        motions.append([*motion, *out.values(), qpos.copy()])
+    for ours, theirs in zip(*motions, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@needs_batch
 def test_a_replay_without_a_batch_gives_the_same_numbers(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -116,18 +141,6 @@ def test_a_field_of_a_newer_mujoco_has_its_value_there(name: str) -> None:
     substitute = engine._LATER_FIELDS[name](model)
     np.testing.assert_array_equal(substitute, getattr(model, name, substitute))
     np.testing.assert_array_equal(substitute, engine.model_field(model, name))
-
-
-def test_a_mujoco_without_batches_is_named_with_the_way_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(engine, "_HAS_BATCHES", False)
-    with pytest.raises(
-        EngineVersionError,
-        match=r"^the installed packages: a diagnosis needs MuJoCo 3\.17 or newer \(got 'MuJoCo "
-        rf"{re.escape(mujoco.__version__)}'; expected pip install 'mujoco>=3\.17'",
-    ):
-        engine.require_batches("a diagnosis")
 
 
 def test_a_controller_of_a_dcmotor_is_refused_where_its_gains_are_volts(

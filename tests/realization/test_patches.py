@@ -11,7 +11,7 @@ from model_texts import ARM, PENDULUM, recordings, written
 from test_reference import check_agreement
 
 from pytest_twin.errors import ModelError, SpecError
-from pytest_twin.realization import Realization, load
+from pytest_twin.realization import Realization, engine, load
 from pytest_twin.twin import load_twin
 
 CONTROLLED = """model: model.xml
@@ -168,7 +168,9 @@ def test_a_payload_equals_a_welded_body(tmp_path: Path) -> None:
     assert fused.nbody == 2
     assert loaded.body_mass[1] == pytest.approx(fused.body_mass[1], rel=1e-12)
     np.testing.assert_allclose(loaded.body_ipos, fused.body_ipos, atol=1e-12)
-    np.testing.assert_allclose(inertia_tensor(loaded), inertia_tensor(fused), rtol=1e-9)
+    # MuJoCo 3.11 diagonalizes an inertia with an error of 1e-7 of its largest moment.
+    rtol = 1e-9 if engine._VERSION >= (3, 17) else 1e-5
+    np.testing.assert_allclose(inertia_tensor(loaded), inertia_tensor(fused), rtol=rtol)
 
 
 def inertia_tensor(model: mujoco.MjModel, body: int = 1) -> np.ndarray:
