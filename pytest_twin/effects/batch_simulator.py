@@ -534,9 +534,11 @@ class BatchSimulator:
         batch.bind("qpos")[:, at_qpos] = world.position
         batch.bind("qvel")[:, at_dof] = world.velocity
         batch.bind("qfrc_applied")[:, at_dof] = prepared.constant
+        # An array has the results of those calls of the engine that follow its first binding.
+        bias = batch.bind("qfrc_bias")
         batch.forward()
         if _reads_load(hooks):
-            world.load = batch.bind("qfrc_bias")[:, at_dof]
+            world.load = bias[:, at_dof]
         self.warm_up(world, rows, effects)
         shifts = [self.segments[r].motor_shift for r in rows]
         if hooks["gear"] and any(s is not None for s in shifts):

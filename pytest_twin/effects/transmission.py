@@ -172,6 +172,11 @@ class Backlash(Effect):
         "play",
         "joint_elasticity": "repeat the recording with two payloads: a gap does not grow with the "
         "load",
+        # Where the load always presses the teeth to one side, a gap is a constant offset.
+        **dict.fromkeys(
+            ("joint_spring", "encoder_bias", "asymmetric_friction", "external_force"),
+            "move the joint to a pose where its load has the other sign: only a gap jumps",
+        ),
     }
     generalizes = frozenset({"joint_elasticity"})
 

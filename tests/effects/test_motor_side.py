@@ -107,3 +107,24 @@ def test_drive_effects_act_on_the_motor_of_an_elastic_joint(law: str, mode: str)
     # The tolerance covers a first-order integrator with steps of 0.25 ms.
     assert np.abs(q - want_q).max() < 0.003 * np.ptp(want_q)
     assert np.abs(effort - want_effort)[1:].max() < 0.02 * np.ptp(want_effort)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_load_at_rest_presses_the_teeth_of_a_gear_with_backlash(side: float) -> None:
+    gap, teeth = 0.04, 5e3
+    # The servo holds the link's weight; the motor is half a gap away from the link.
+    weight = side * MASS * 9.81 * ARM
+    command = weight / teeth + side * gap / 2.0 + weight / KP
+    time: FloatArray = STEP * np.arange(2000, dtype=np.float64)
+    across = MODEL.replace(f'pos="0 0 -{ARM}"', f'pos="{side * ARM} 0 0"')
+    segment = Segment(
+        trial=0, model=mujoco.MjModel.from_xml_string(across.format(drive=DRIVES["position"])),
+        mode="position", start=0.0, time=time, position=np.zeros((2000, 1)), velocity=None,
+        effort=None, command_time=time, command=np.full((2000, 1), command),
+        initial_position=np.zeros(1), initial_velocity=np.zeros(1),
+    )  # fmt: skip
+    values = {"gap": np.full((1, 1), gap), "tooth_compliance": np.full((1, 1), 1.0 / teeth)}
+    (at_rest,) = BatchSimulator([segment], ("j",), threads=1).simulate(
+        np.array([0]), {"backlash": values}
+    )
+    assert np.abs(at_rest.position).max() < 1e-4

@@ -69,13 +69,18 @@ def fit_along_motion(
 def with_linearized_jacobians(
     view: View | None, models: Sequence[Model], comparison: Comparison
 ) -> list[Model]:
-    """Models with the Jacobian of the linearized motion, which needs no simulation."""
+    """Models with the Jacobian of the linearized motion, which needs no simulation.
+
+    Those that are fitted by simulation keep theirs.
+    """
     if view is None or view.linear is None:
         return list(models)
-    slopes = linearized_slopes(view.linear, [m.hypothesis for m in models])
+    slopes = iter(linearized_slopes(view.linear, [m.hypothesis for m in models if not m.is_fitted]))
     return [
-        m.with_jacobian(comparison, np.repeat(slope, view.bins.counts, axis=0))
-        for m, slope in zip(models, slopes, strict=True)
+        m
+        if m.is_fitted
+        else m.with_jacobian(comparison, np.repeat(next(slopes), view.bins.counts, axis=0))
+        for m in models
     ]
 
 

@@ -30,6 +30,7 @@ class Model:
         held_out: (samples, signals) residual of each recording with the parameters of the others;
             None without a Jacobian.
         score: absolute score, cross-validated where the Jacobian is known.
+        is_fitted: whether it was fitted by simulation.
     """
 
     hypothesis: Hypothesis
@@ -40,6 +41,7 @@ class Model:
     score: float
     jacobian: FloatArray | None = None
     held_out: FloatArray | None = None
+    is_fitted: bool = False
 
     @property
     def mean_square(self) -> FloatArray:

@@ -301,6 +301,8 @@ def proposed_starts(
     unexplained: NDArray[np.bool_],
     most: int,
     of: Collection[Term] | None = None,
+    *,
+    beside: bool = True,
 ) -> list[Hypothesis]:
     """Starts that effects propose, because no slope leads to them: the nearest of each effect.
 
@@ -314,11 +316,14 @@ def proposed_starts(
         unexplained: (joints,) where effects propose starts.
         most: number of starts.
         of: effects whose starts are tried; all by default.
+        beside: whether also those in addition to all effects of the incumbent.
     """
     starts = [
         start
         for start in physics.starts(incumbent.hypothesis, unexplained)
-        if (of is None or start[0] in of) and has_given(start[1], physics.given)
+        if (of is None or start[0] in of)
+        and (beside or not set(incumbent.hypothesis.terms) <= set(start[1].terms))
+        and has_given(start[1], physics.given)
     ]
     if not starts:
         return []

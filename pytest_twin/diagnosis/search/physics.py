@@ -316,7 +316,9 @@ class SimulatedPhysics:
                     out.append((term, hypothesis.with_theta(theta).with_terms(others)))
                     continue
                 of_joint = tuple(t for t in hypothesis.terms if t.joint == term.joint)
-                rests = [hypothesis.without(*replaced) for replaced in {(), of_joint}]
+                rests = [
+                    hypothesis.without(*replaced) for replaced in dict.fromkeys([(), of_joint])
+                ]
                 if term.joint in {t.joint for t in self.given}:
                     # Without a limit of the drive, the fit of a gain may end far off.
                     rests = [hypothesis, self._with_absent_given(hypothesis, term.joint)]

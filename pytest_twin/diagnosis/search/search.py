@@ -8,7 +8,7 @@ limit of time or simulations ends the sequence earlier and changes nothing else.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,10 +31,12 @@ from pytest_twin.diagnosis.search.settings import SETTINGS, SearchSettings
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.comparison import Comparison
 from pytest_twin.estimation.deadline import OutOfTime
-from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 _FITTED_SETTINGS = 2
 """Settings of the simulation with which the incumbent is fitted."""
+_DISTANT = 1
+"""Effects to which no slope leads that are fitted in place of those of an incumbent."""
 _STARTS = 4
 """Starts that effects propose, of which a round simulates the nearest."""
 
@@ -91,6 +93,7 @@ class Search:
         )
         self.pool = Pool(self.comparison)
         self._passed: Model | None = None
+        self._fitted_sets = set[frozenset[Term]]()
         nominal = self._model(EMPTY, residual, "nominal model", EMPTY)
         self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
         self._simplest = self.nominal
@@ -172,8 +175,13 @@ class Search:
         )
         models = self._fit_best(view, models, incumbent, self.settings.finalists)
         models += self._from_starts(view, models, incumbent, attempted=True)
+        better = self._accept_one(view, models, incumbent)
+        if better is not None:
+            return better
+        # Before other settings of the simulation: they fit errors of a wrong effect too.
+        distant = self._distant_rivals(incumbent)
         return (
-            self._accept_one(view, models, incumbent)
+            self._accept_one(view, distant, incumbent)
             or self._other_settings(incumbent)
             or self._accept_one(view, self._from_starts(view, models, incumbent), incumbent)
             or self._from_another_model(incumbent)
@@ -374,6 +382,26 @@ class Search:
         sets = dict.fromkeys([tuple(given), *map(tuple, of_joints), *((t,) for t in given)])
         return [hypothesis.without(*removed) for removed in sets if removed]
 
+    def _distant_rivals(self, incumbent: Model) -> list[Model]:
+        """Effects to which no slope leads, fitted in place of those that are confused with them.
+
+        Backlash that gravity keeps on one side of the teeth is a constant offset. A small gap is
+        not yet one, so the linearization shows nothing of it. Such effects are fitted with the
+        corrections of their own starts: stiff teeth have other ones than a rigid joint.
+        """
+        own = set(incumbent.hypothesis.terms)
+        distant = {
+            t
+            for h in confused(self.physics, incumbent.hypothesis)
+            for t in h.terms
+            if not t.law.nearly_linear and frozenset(h.terms) not in self._fitted_sets
+        }
+        at_own = np.isin(np.arange(len(self.physics.joints)), [t.joint for t in own])
+        starts = proposed_starts(
+            self.physics, incumbent, incumbent, at_own, _DISTANT, distant - own, beside=False
+        )
+        return [self._fitted(self.simulated(h, "start of a rival")) for h in starts]
+
     def _accept_one(
         self, view: View | None, models: Sequence[Model], incumbent: Model
     ) -> Model | None:
@@ -426,20 +454,23 @@ class Search:
         return fitted if self._decide(fitted, incumbent).is_accepted else None
 
     def _fitted(self, model: Model) -> Model:
-        """A model fitted by simulation, with the corrections at its own start."""
+        """A model fitted by simulation, then with the corrections of its own parameters."""
+        if model.is_fitted:
+            return model
         start = model.hypothesis
         hypothesis, residual, jacobian = self.physics.fit(
-            start, model.residual, self.settings.refinements, start
+            start, model.residual, self.settings.refinements, model.corrected_at
         )
         fitted = self._model(hypothesis, residual, model.origin, hypothesis)
-        fitted = fitted.with_jacobian(self.comparison, jacobian)
+        fitted = replace(fitted.with_jacobian(self.comparison, jacobian), is_fitted=True)
         self.pool.add(fitted)
+        self._fitted_sets.add(frozenset(hypothesis.terms))
         return fitted
 
-    def simulated(self, hypothesis: Hypothesis) -> Model:
-        """A hypothesis of an earlier answer, simulated."""
+    def simulated(self, hypothesis: Hypothesis, origin: str = "earlier answer") -> Model:
+        """A hypothesis simulated with the corrections of its own parameters."""
         (residual,) = self.physics.simulate([hypothesis], hypothesis)
-        return self._model(hypothesis, residual, "earlier answer", hypothesis)
+        return self._model(hypothesis, residual, origin, hypothesis)
 
     def _simulate(
         self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis, origin: str
