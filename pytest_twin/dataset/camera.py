@@ -27,8 +27,8 @@ _TILES = (3, 4)
 """Rows and columns of tiles that are compared."""
 _TEXTURE = 3.0
 """Smallest standard deviation of grey levels in a tile that shows a shift."""
-_PEAK = 0.08
-"""Smallest peak of a phase correlation, 1 for equal images."""
+_ABOVE_CHANCE = 1.5
+"""Smallest peak of a phase correlation, relative to the highest one of two unrelated images."""
 _MOVED, _STILL = 1.5, 1.0
 """Pixels of a shift above which a tile moved and below which it did not."""
 _SHARE, _FEWEST_TILES = 0.6, 3
@@ -125,7 +125,7 @@ def _shift(first: _Background, second: _Background) -> float | None:
             if static.mean() < _LEAST_STATIC or min(float(np.std(t)) for t in tiles) < _TEXTURE:
                 continue
             found, peak = _phase_correlation(*tiles)
-            if peak >= _PEAK:
+            if peak >= _ABOVE_CHANCE:
                 shifts.append(found)
     if len(shifts) < _FEWEST_TILES:
         return None
@@ -136,15 +136,21 @@ def _shift(first: _Background, second: _Background) -> float | None:
 
 
 def _phase_correlation(first: FloatArray, second: FloatArray) -> tuple[float, float]:
-    """Size of the shift between two images, px, and height of the peak."""
+    """Size of the shift between two images, px, and height of the peak relative to chance.
+
+    The correlation of unrelated images is noise with the standard deviation 1 / sqrt(frequencies),
+    of which the largest of n pixels is about sqrt(2 ln n) standard deviations.
+    """
     window = np.outer(*(np.hanning(size) for size in first.shape))
     spectra = [np.fft.rfft2((one - one.mean()) * window) for one in (first, second)]
     cross = spectra[0] * np.conj(spectra[1])
     # Frequencies without power are noise.
     size = np.abs(cross)
-    cross = np.where(size > 1e-3 * size.max(), cross / np.maximum(size, 1e-12), 0.0)
-    peaks = np.fft.irfft2(cross, s=first.shape)
+    has_power = size > 1e-3 * size.max()
+    cross = np.where(has_power, cross / np.maximum(size, 1e-12), 0.0)
+    peaks = np.fft.irfft2(cross, s=first.shape) / has_power.mean()
+    chance = math.sqrt(2.0 * math.log(peaks.size) / (has_power.mean() * peaks.size))
     at = np.unravel_index(int(np.argmax(peaks)), peaks.shape)
     wrapped = [place if 2 * place <= size else place - size
                for place, size in zip(at, peaks.shape, strict=True)]  # fmt: skip
-    return math.hypot(*wrapped), float(peaks[at])
+    return math.hypot(*wrapped), float(peaks[at]) / chance
