@@ -336,6 +336,7 @@ class Twin:
         recordings: how to read recordings: joint names, fields, clock, commands between stamps.
         controllers: id -> actuator -> attribute -> value.
         payloads: id -> body -> load.
+        motors: motor type -> joints with motors of this type.
         parts: name -> declared part.
         calibration: calibration in use: ``calibration:``, updated by ``calibrations:`` and by the
             encoders of ``fit:``.
@@ -369,6 +370,7 @@ class Twin:
     recordings: RecordingOptions = NO_OPTIONS
     controllers: Mapping[str, Mapping[str, Patch]] = field(default_factory=dict)
     payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
+    motors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     calibration: Calibration | None = None
     calibrated: Calibration | None = None
     stated: Calibration | None = None
@@ -603,6 +605,7 @@ class _Reader:
                 name: {body: _payload(added) for body, added in bodies.items()}
                 for name, bodies in data.get("payloads", {}).items()
             },
+            motors=self._motors(),
             calibration=_with_identified_encoders(calibrated, _not_superseded(fits), self.path),
             calibrated=calibrated,
             stated=stated,
@@ -629,6 +632,18 @@ class _Reader:
             excitation=data.get("excitation"),
             lines=self.lines,
         )
+
+    def _motors(self) -> dict[str, tuple[str, ...]]:
+        motors = {name: tuple(joints) for name, joints in self.data.get("motors", {}).items()}
+        type_of: dict[str, str] = {}
+        for name, joints in motors.items():
+            for joint in joints:
+                if type_of.setdefault(joint, name) != name:
+                    raise self.section.error(
+                        "a joint has two types of motors", f"motors.{name}", value=joint,
+                        expected=f"each joint once; it is also under {type_of[joint]}",
+                    )  # fmt: skip
+        return motors
 
     def _file(self, reference: str, where: str) -> Path:
         return self.roots.resolve(reference, at=self.path, line=_line(self.lines, where))

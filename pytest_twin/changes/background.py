@@ -1,10 +1,9 @@
 """What earlier recordings show of a robot, and what they leave of later ones.
 
-The efforts of the earlier recordings measure every law of the catalogue at once: amplitudes have a
-Gaussian prior (ridge), and their estimate and covariance are the prior of the later recordings. An
-error of the model that was there before is therefore no change (Basseville, Automatica 33, 1997;
-Döhler, Mevel, Zhang, Annual Reviews in Control 42, 2016: nuisance parameters, marginalized). Only
-the difference is scored.
+The earlier recordings measure every law of the catalogue at once: amplitudes have a Gaussian prior
+(ridge), and their estimate and covariance are carried into the later recordings. There they are
+nuisance parameters and marginalized, so an error of the model that was there before is no change
+(Basseville, Automatica 33, 1997; Döhler, Mevel, Zhang, Annual Reviews in Control 42, 2016).
 """
 
 from __future__ import annotations
@@ -14,25 +13,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.estimation.score import effective_samples
-from pytest_twin.identification.effort.law_columns import Shape
-
-_PRIORS = (0.02, 0.06, 0.2)
-"""Possible standard deviations of an amplitude before any recording: its effort relative to the RMS
-effort of the joint. The one with which recordings predict each other best is used."""
-_ITERATIONS = 3
-"""Number of estimates of the noise."""
-_LEAST_NOISE = 1e-4
-"""Smallest noise relative to the RMS effort: simulated recordings have none."""
-_FIRST_NOISE = 0.3
-"""Noise relative to the RMS effort with which the estimates of the noise begin."""
-_RIDGE, _LEAST_RIDGE = 1e-9, 1e-12
-"""Relative size that keeps the equations of a single law solvable, and the least size for a law
-that does not act in these recordings."""
+from pytest_twin.changes.scatter import AMPLITUDE_PRIOR, Scatter, SessionSums
 
 
 class RecordedRows(Protocol):
@@ -67,13 +51,13 @@ class Rows:
         parts: the recordings.
         size: (joints,) RMS effort of each joint, N*m or N; amplitudes are relative to it.
         scale: (columns,) amplitude in SI units whose effort is the RMS effort of a joint.
-        sums: for each recording and joint, (k, k) and (k,) sums of scaled rows.
+        sums: for each recording and joint, the sums of its scaled rows.
     """
 
     parts: tuple[RecordedRows, ...]
     size: FloatArray
     scale: FloatArray
-    sums: tuple[tuple[tuple[FloatArray, FloatArray], ...], ...]
+    sums: tuple[tuple[SessionSums, ...], ...]
 
     @classmethod
     def of(cls, parts: Sequence[RecordedRows], size: FloatArray, count: int) -> Rows:
@@ -84,29 +68,27 @@ class Rows:
         """
         largest = np.zeros(count)
         for j in range(len(size)):
-            power, rows = np.zeros(count), 0
+            power, samples = np.zeros(count), 0
             for part in parts:
                 power[part.columns[j]] += (part.matrix[j] ** 2).sum(axis=0)
-                rows += len(part.time)
-            largest = np.maximum(largest, np.sqrt(power / max(rows, 1)) / size[j])
+                samples += len(part.time)
+            largest = np.maximum(largest, np.sqrt(power / max(samples, 1)) / size[j])
         scale = 1.0 / np.where(largest > 0.0, largest, np.inf)
-        sums = tuple(tuple(_sums(part, j, scale) for j in range(len(size))) for part in parts)
+        # A column without effort in one recording is missing there.
+        acting = [
+            np.unique(np.concatenate([p.columns[j] for p in parts])) for j in range(len(size))
+        ]
+        sums = tuple(
+            tuple(_sums(part, j, columns, scale) for j, columns in enumerate(acting))
+            for part in parts
+        )
         return cls(tuple(parts), size, scale, sums)
 
-    def equations(self, which: Sequence[int], weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(p, p) and (p,) normal equations of some recordings.
-
-        Args:
-            weight: (joints,) weight of a squared residual, 1/(N*m)^2 or 1/N^2.
-        """
-        count = len(self.scale)
-        matrix, vector = np.zeros((count, count)), np.zeros(count)
-        for i in which:
-            for j, (own, right) in enumerate(self.sums[i]):
-                columns = self.parts[i].columns[j]
-                matrix[np.ix_(columns, columns)] += weight[j] * own
-                vector[columns] += weight[j] * right
-        return matrix, vector
+    def sums_of(self, session: Sequence[int]) -> list[SessionSums]:
+        """For each joint, the sums over the recordings of a session."""
+        return [
+            SessionSums.total([self.sums[i][j] for i in session]) for j in range(len(self.size))
+        ]
 
     def effort_of(self, i: int, amplitudes: FloatArray) -> FloatArray:
         """(n, joints) effort of amplitudes along a recording, N*m or N."""
@@ -123,11 +105,60 @@ class Rows:
         """(n, joints) residual of each of some recordings, 0 where the effort is unknown."""
         return [np.nan_to_num(self.parts[i].effort - self.effort_of(i, amplitudes)) for i in which]
 
+    def residual_rms(self, which: Sequence[int], amplitudes: FloatArray) -> FloatArray:
+        """(joints,) RMS residual of some recordings."""
+        residual = np.concatenate(self.residuals(which, amplitudes))
+        return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
 
-def _sums(part: RecordedRows, joint: int, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+
+def _sums(
+    part: RecordedRows, joint: int, columns: NDArray[np.intp], scale: FloatArray
+) -> SessionSums:
     known = np.isfinite(part.effort[:, joint])
-    rows = part.matrix[joint][known] * scale[part.columns[joint]]
-    return rows.T @ rows, rows.T @ part.effort[known, joint]
+    rows = np.zeros((int(known.sum()), len(columns)))
+    rows[:, np.searchsorted(columns, part.columns[joint])] = part.matrix[joint][known]
+    rows *= scale[columns]
+    effort = part.effort[known, joint]
+    return SessionSums(columns, rows.T @ rows, rows.T @ effort, float(effort @ effort), len(effort))
+
+
+@dataclass(frozen=True)
+class Information:
+    """What sessions show of all amplitudes, with the scatter between sessions taken into account.
+
+    Attributes:
+        matrix: (p, p) information, relative to the RMS effort.
+        vector: (p,) right side of the normal equations.
+    """
+
+    matrix: FloatArray
+    vector: FloatArray
+
+    @classmethod
+    def of(
+        cls, sessions: Sequence[SessionSums], scatter: Sequence[Scatter], count: int
+    ) -> Information:
+        """Information of one session.
+
+        Args:
+            sessions: its sums for each joint.
+            scatter: the scatter of each joint.
+            count: number of columns.
+        """
+        matrix, vector = np.zeros((count, count)), np.zeros(count)
+        for sums, joint_scatter in zip(sessions, scatter, strict=True):
+            joint_matrix, joint_vector = joint_scatter.information(sums)
+            matrix[np.ix_(sums.columns, sums.columns)] += joint_matrix
+            vector[sums.columns] += joint_vector
+        return cls(matrix, vector)
+
+    @classmethod
+    def total(cls, each: Sequence[Information]) -> Information:
+        """Information of independent sessions together."""
+        return cls(
+            np.sum([info.matrix for info in each], axis=0),
+            np.sum([info.vector for info in each], axis=0),
+        )
 
 
 @dataclass(frozen=True)
@@ -137,143 +168,39 @@ class Background:
     Attributes:
         mean: (p,) estimate, relative to the RMS effort.
         precision: (p, p) inverse of the covariance.
-        vector: (p,) right side of the equations, ``precision @ mean``.
-        weight: (joints,) weight of a squared residual.
     """
 
     mean: FloatArray
     precision: FloatArray
-    vector: FloatArray
-    weight: FloatArray
 
-    def without(self, rows: Rows, which: Sequence[int]) -> Background:
-        """The same without some of its recordings."""
-        matrix, vector = rows.equations(which, self.weight)
-        precision, rest = self.precision - matrix, self.vector - vector
-        mean = scipy.linalg.solve(precision, rest, assume_a="pos")
-        return Background(mean, precision, rest, self.weight)
-
-    def covariance(self) -> FloatArray:
-        """(p, p) covariance of the amplitudes."""
-        return np.asarray(np.linalg.inv(self.precision), dtype=np.float64)
-
-
-def background_of(rows: Rows, sessions: Sequence[Sequence[int]]) -> Background:
-    """Estimate the amplitudes of all laws from the recordings of several sessions."""
-
-    def error(background: Background) -> float:
-        """Squared residual of sessions that are left out, all joints alike."""
-        left_out = [
-            residual / rows.size
-            for session in sessions
-            for residual in rows.residuals(session, background.without(rows, session).mean)
-        ]
-        return float((np.concatenate(left_out) ** 2).sum())
-
-    which = [i for session in sessions for i in session]
-    return min((_background_of(rows, which, prior) for prior in _PRIORS), key=error)
-
-
-def _background_of(rows: Rows, which: Sequence[int], prior: float) -> Background:
-    """Estimate the amplitudes of all laws with one standard deviation of their prior.
-
-    Residuals are correlated in time; the weight of a joint is that of its independent samples.
-    """
-    ridge = np.eye(len(rows.scale)) / prior**2
-    weight = 1.0 / np.maximum(_FIRST_NOISE * rows.size, 1e-12) ** 2
-    for step in range(_ITERATIONS + 1):
-        matrix, vector = rows.equations(which, weight)
-        precision = matrix + ridge
-        mean = scipy.linalg.solve(precision, vector, assume_a="pos")
-        if step == _ITERATIONS:
-            break
-        residuals = rows.residuals(which, mean)
-        stacked = np.concatenate(residuals)
-        noise = np.maximum(np.sqrt(np.mean(stacked**2, axis=0)), _LEAST_NOISE * rows.size)
-        independent = effective_samples(stacked, [len(r) for r in residuals])
-        weight = independent / len(stacked) / noise**2
-    return Background(mean, precision, vector, weight)
+    @classmethod
+    def of(cls, information: Information) -> Background:
+        """Estimate from the information of the earlier sessions and the prior."""
+        precision = information.matrix + np.eye(len(information.vector)) / AMPLITUDE_PRIOR**2
+        mean = np.asarray(np.linalg.solve(precision, information.vector), dtype=np.float64)
+        return cls(mean, precision)
 
 
 @dataclass(frozen=True)
-class Remainder:
-    """What a background leaves of the efforts of other recordings, as sums for each joint.
+class Contrast:
+    """What later sessions show of a change, whatever the background is.
 
     Attributes:
-        samples: number of rows.
-        power: (joints,) sum of squared residuals, (N*m)^2 or N^2.
-        matrix: (joints, p, p) sums of products of scaled columns.
-        vector: (joints, p) sums of products of columns and residual.
-        least: (joints,) smallest mean squared residual that is not rounding.
+        information: (p, p) information on the change of each amplitude, all others unchanged and
+            the background marginalized.
+        vector: (p,) right side of the normal equations of the change.
     """
 
-    samples: int
-    power: FloatArray
-    matrix: FloatArray
+    information: FloatArray
     vector: FloatArray
-    least: FloatArray
 
     @classmethod
-    def of(cls, rows: Rows, which: Sequence[int], background: Background) -> Remainder:
-        """What the background leaves of some recordings."""
-        joints, count = len(rows.size), len(rows.scale)
-        matrix, vector = np.zeros((joints, count, count)), np.zeros((joints, count))
-        for i in which:
-            for j, (own, right) in enumerate(rows.sums[i]):
-                columns = rows.parts[i].columns[j]
-                matrix[j][np.ix_(columns, columns)] += own
-                vector[j, columns] += right
-        vector -= matrix @ background.mean
-        residual = np.concatenate(rows.residuals(which, background.mean))
-        least = (_LEAST_NOISE * rows.size) ** 2
-        power = np.maximum((residual**2).sum(axis=0), least * len(residual))
-        return cls(len(residual), power, matrix, vector, least)
+    def of(cls, later: Information, background: Background) -> Contrast:
+        """Later sessions against the background."""
+        rest = later.vector - later.matrix @ background.mean
+        removed = np.linalg.solve(background.precision + later.matrix, later.matrix)
+        return cls(later.matrix - later.matrix @ removed, rest - removed.T @ rest)
 
-    def fit(self, columns: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        """(k,) amplitudes that reduce the residual most, and (k, k) their information per sample.
-
-        Each joint has the weight of its own mean squared residual.
-        """
-        information = _solvable(np.einsum("j,jab->ab", 1.0 / self.power, self._own(columns)))
-        right = (1.0 / self.power) @ self.vector[:, columns]
-        return np.asarray(np.linalg.solve(information, right)), information
-
-    def seeming_covariances(
-        self, shapes: Sequence[Shape], covariance: FloatArray
-    ) -> list[FloatArray]:
-        """For each shape, (k, k) covariance of the change that only an unknown background causes.
-
-        It is large where the motion moves what earlier motions did not.
-
-        Args:
-            covariance: (p, p) covariance of the background.
-        """
-        information = np.einsum("j,jab->ab", 1.0 / self.power, self.matrix)
-        spread = information @ covariance @ information
-        covariances = []
-        for shape in shapes:
-            square = np.ix_(shape.indices, shape.indices)
-            inverse = np.linalg.inv(_solvable(information[square]))
-            covariances.append(inverse @ spread[square] @ inverse)
-        return covariances
-
-    def power_after(self, columns: NDArray[np.intp], change: FloatArray) -> FloatArray:
-        """(joints,) sum of squared residuals after a change of these amplitudes."""
-        after: FloatArray = self.power - 2.0 * self.vector[:, columns] @ change
-        after = after + np.einsum("a,jab,b->j", change, self._own(columns), change)
-        return np.maximum(after, self.least * self.samples)
-
-    def after(self, columns: NDArray[np.intp], change: FloatArray) -> Remainder:
-        """The remainder after a change of these amplitudes."""
-        vector = self.vector - self.matrix[:, :, columns] @ change
-        power = self.power_after(columns, change)
-        return Remainder(self.samples, power, self.matrix, vector, self.least)
-
-    def _own(self, columns: NDArray[np.intp]) -> FloatArray:
-        return self.matrix[:, columns[:, None], columns]
-
-
-def _solvable(information: FloatArray) -> FloatArray:
-    """(k, k) information of a law with the ridge that lets it be solved."""
-    ridge = _RIDGE * np.trace(information) + _LEAST_RIDGE
-    return np.asarray(information + ridge * np.eye(len(information)))
+    def without(self, columns: NDArray[np.intp], change: FloatArray) -> Contrast:
+        """The contrast after a change of these amplitudes."""
+        return Contrast(self.information, self.vector - self.information[:, columns] @ change)

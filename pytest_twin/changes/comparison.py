@@ -1,47 +1,48 @@
 """Compare later recordings with earlier ones: is there a change, and which law changed?
 
-Every earlier session is left out in turn and compared with the others as if it were later. This
-gives, for this robot, how much each law seems to change where nothing did (its drift), and how
-large the best score then is. A later session is an alarm if its best score is above these.
+A change of a law is scored by its log evidence against no change, with the background marginalized
+and the scatter between sessions taken into account. The scatter itself is estimated from few
+sessions. So the evidence is reduced twice: earlier sessions are left out in turn and compared with
+the others, which shows how much laws seem to change at each joint where nothing did; and the
+Gaussian law is replaced by Student's t law with the number of sessions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.changes.background import Background, Remainder, Rows, background_of
+from pytest_twin.changes.background import Background, Contrast, Information, Rows
+from pytest_twin.changes.motor_types import TypeLaw, type_laws
+from pytest_twin.changes.scatter import AMPLITUDE_PRIOR, scatter_of
 from pytest_twin.estimation.hypothesis import Term
-from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.effort.law_columns import Shape
 
-_SAMPLES = 50.0
-"""Independent samples of a joint. What a model leaves of an effort is model error more than noise,
-and does not average out: a longer recording is not more evidence (Kish, Survey Sampling, 1965)."""
-_PENALTY = 0.5 * np.log(3.0 * _SAMPLES)
-"""Penalty of an amplitude, half the logarithm of the number of samples (BIC)."""
 _MOST_CHANGES = 4
 """Largest number of changes that are named."""
 SURE_OF_NAME = 0.5
 """Confidence below which a change has no name."""
+_LEAST_PROBABILITY = 0.01
+"""Probability below which another law is not listed."""
+_TWO_SIDED = 0.975
+"""Quantile outside which an amplitude is significant."""
 
 
 @dataclass(frozen=True)
 class Null:
-    """Differences where nothing changed: each earlier session against the others.
+    """Scores where nothing changed: earlier sessions against the others.
 
     Attributes:
-        scores: (sessions,) best score of each.
-        drift: for each shape, (k, k) mean square of the amplitudes that seem to change.
+        scores: (sessions,) best score of each group of sessions that is left out.
     """
 
     scores: FloatArray
-    drift: tuple[FloatArray, ...]
 
     def threshold(self, level: float) -> float:
         """Score above which a later session is an alarm at a level, such as 0.05.
@@ -76,6 +77,8 @@ class Change:
         confidence: probability of the law among all laws and no change.
         rivals: other laws -> their probability.
         gain: share of the squared residual that the change removes, all joints weighted equally.
+        motor: motor type, all of whose joints have this change; None where it is one joint's or the
+            robot's.
     """
 
     shape: Shape
@@ -83,7 +86,8 @@ class Change:
     covariance: FloatArray
     confidence: float
     rivals: Mapping[Term, float]
-    gain: float
+    gain: float = 0.0
+    motor: str | None = None
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,100 @@ class Comparison:
     usual: FloatArray
 
 
+@dataclass(frozen=True)
+class Tempering:
+    """How much less the evidence is worth than that of a known Gaussian scatter.
+
+    Attributes:
+        inflation: (shapes,) mean of twice the gain per amplitude where nothing changed; 1 for a
+            scatter that is known.
+        freedom: degrees of freedom of the scatter.
+    """
+
+    inflation: FloatArray
+    freedom: int
+
+    def odds(self, deficit: FloatArray) -> FloatArray:
+        """Log odds under Student's t law, where those under a Gaussian law are ``-deficit``.
+
+        Args:
+            deficit: (n,) log evidence of the best explanation minus that of each, not negative.
+        """
+        freedom = self.freedom
+        return np.asarray(-0.5 * (freedom + 1.0) * np.log1p(2.0 * deficit / freedom))
+
+    def score(self, evidence: FloatArray) -> float:
+        """Log odds of the best law against no change."""
+        best = float(evidence.max())
+        return best if best < 0.0 else -float(self.odds(np.array(best)))
+
+    @property
+    def deviations(self) -> float:
+        """Standard deviations beyond which an amplitude is significant."""
+        return float(stdtrit(self.freedom, _TWO_SIDED))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What is known before a law is named.
+
+    Attributes:
+        contrast: what the later sessions show of a change.
+        background: the laws as the earlier sessions show them.
+        usual: (joints,) RMS residual of earlier sessions that are left out.
+    """
+
+    contrast: Contrast
+    background: Background
+    null: Null
+    tempering: Tempering
+    usual: FloatArray
+
+
+def prepare(
+    rows: Rows,
+    sessions: Sequence[Sequence[int]],
+    later: Sequence[Sequence[int]],
+    shapes: Sequence[Shape],
+) -> Prepared:
+    """Background, scatter and scores where nothing changed; arguments as of :func:`compare`."""
+    earlier_sums = [rows.sums_of(session) for session in sessions]
+    later_sums = [rows.sums_of(session) for session in later]
+    scatter = [
+        scatter_of([each[j] for each in earlier_sums], [each[j] for each in later_sums], size)
+        for j, size in enumerate(rows.size)
+    ]
+    count = len(rows.scale)
+    shown = [Information.of(sums, scatter, count) for sums in earlier_sums]
+    background = Background.of(Information.total(shown))
+    shown_later = Information.total([Information.of(sums, scatter, count) for sums in later_sums])
+    left_out = []
+    others_residuals = []
+    for group in _groups(len(sessions), len(later)):
+        others = Background.of(
+            Information.total([info for at, info in enumerate(shown) if at not in group])
+        )
+        left_out.append(Contrast.of(Information.total([shown[at] for at in group]), others))
+        for at in group:
+            others_residuals += rows.residuals(sessions[at], others.mean)
+    freedom = len(sessions) + len(later) - 2
+    null, tempering = _null(left_out, shapes, freedom)
+    return Prepared(
+        Contrast.of(shown_later, background), background, null, tempering,
+        np.sqrt(np.mean(np.concatenate(others_residuals) ** 2, axis=0)),
+    )  # fmt: skip
+
+
+def _groups(earlier: int, later: int) -> list[list[int]]:
+    """Earlier sessions that are left out together, each session equally often.
+
+    They are as many as the later ones, but most earlier sessions remain: the mean of several
+    sessions differs less from the others than a single session does.
+    """
+    size = max(min(later, (earlier - 1) // 2), 1)
+    return [[(first + k) % earlier for k in range(size)] for first in range(earlier)]
+
+
 def compare(
     rows: Rows,
     sessions: Sequence[Sequence[int]],
@@ -118,6 +216,7 @@ def compare(
     shapes: Sequence[Shape],
     level: float,
     widening: float = 1.0,
+    motors: Mapping[str, Sequence[int]] = MappingProxyType({}),
 ) -> Comparison:
     """Compare later recordings with earlier ones.
 
@@ -126,142 +225,222 @@ def compare(
         sessions: earlier recordings of each session; at least three sessions.
         later: the later recordings of each session.
         level: probability of an alarm if nothing changed.
-        widening: factor on drift and threshold, for motions that the earlier ones do not cover.
+        widening: factor on the threshold, for motions that the earlier ones do not cover.
+        motors: motor type -> its joints.
     """
-    background = background_of(rows, sessions)
-    null, usual = _null(rows, sessions, background, shapes)
-    # Means of several sessions drift less.
-    share = widening**2 * (1.0 / len(later) + 1.0 / len(sessions))
-    remainder = Remainder.of(rows, [i for session in later for i in session], background)
-    unknown = remainder.seeming_covariances(shapes, background.covariance())
-    drift = tuple(share * own + more for own, more in zip(null.drift, unknown, strict=True))
-    first = _scores(remainder, shapes, drift)
-    score, threshold = float(first.max()), widening * max(null.threshold(level), 0.0)
+    prepared = prepare(rows, sessions, later, shapes)
+    background, null, tempering = prepared.background, prepared.null, prepared.tempering
+    evidence = evidence_of(prepared.contrast, shapes, tempering)
+    score, threshold = tempering.score(evidence), widening * max(null.threshold(level), 0.0)
+    types = type_laws(shapes, rows.scale, motors)
     changes: list[Change] = []
-    rest, scores = remainder, first
-    while scores.max() > threshold and len(changes) < _MOST_CHANGES:
-        change = _best_change(rest, shapes, drift, scores)
-        if change.confidence < SURE_OF_NAME:
+    new = [i for session in later for i in session]
+    changed = background.mean.copy()
+    rest = prepared.contrast
+    for _ in range(_MOST_CHANGES):
+        if tempering.score(evidence) <= threshold:
             break
-        changes.append(change)
-        rest = rest.after(change.shape.indices, change.value)
-        scores = _scores(rest, shapes, drift)
+        named = best_change(rest, shapes, types, tempering, evidence)
+        if named[0].confidence < SURE_OF_NAME:
+            break
+        for change in named:
+            columns = change.shape.indices
+            without = rows.residual_rms(new, changed)
+            changed[columns] += change.value
+            gain = _gain(rows, columns, without, rows.residual_rms(new, changed))
+            changes.append(replace(change, gain=gain))
+            rest = rest.without(columns, change.value)
+        evidence = evidence_of(rest, shapes, tempering)
     return Comparison(
         score, threshold, tuple(changes), score > threshold, background, null,
-        np.sqrt(remainder.power / remainder.samples), np.sqrt(rest.power / rest.samples), usual,
+        rows.residual_rms(new, background.mean), rows.residual_rms(new, changed),
+        prepared.usual,
     )  # fmt: skip
 
 
 def _null(
-    rows: Rows, sessions: Sequence[Sequence[int]], background: Background, shapes: Sequence[Shape]
-) -> tuple[Null, FloatArray]:
-    """Compare each session with the others; also (joints,) RMS residual of sessions left out."""
-    left_out, unknown = [], []
-    for session in sessions:
-        others = background.without(rows, session)
-        remainder = Remainder.of(rows, session, others)
-        left_out.append(remainder)
-        unknown.append(remainder.seeming_covariances(shapes, others.covariance()))
-    squares = []
-    for remainder in left_out:
-        seeming = [remainder.fit(shape.indices)[0] for shape in shapes]
-        squares.append([np.outer(value, value) for value in seeming])
-    total = [np.sum(own, axis=0) for own in zip(*squares, strict=True)]
-    count = len(sessions)
+    left_out: Sequence[Contrast], shapes: Sequence[Shape], freedom: int
+) -> tuple[Null, Tempering]:
+    """Best scores of sessions that are left out, and the tempering of later scores."""
+    gains = np.array([_gains(contrast, shapes)[0] for contrast in left_out])
+    per_amplitude = 2.0 * gains / np.array([len(shape.columns) for shape in shapes])
+    joints = np.array([shape.term.joint for shape in shapes])
+
+    def tempering(used: NDArray[np.bool_], freedom: int) -> Tempering:
+        inflation = np.ones(len(shapes))
+        for joint in np.unique(joints):
+            of_joint = joints == joint
+            inflation[of_joint] = max(float(per_amplitude[used][:, of_joint].mean()), 1.0)
+        return Tempering(inflation, max(freedom, 1))
+
+    every = np.arange(len(left_out))
     scores = []
-    share = (1.0 + 1.0 / (count - 1)) / (count - 1)
-    for remainder, own, more in zip(left_out, squares, unknown, strict=True):
-        drift = [share * (t - o) + u for t, o, u in zip(total, own, more, strict=True)]
-        scores.append(float(_scores(remainder, shapes, drift).max()))
-    samples = sum(remainder.samples for remainder in left_out)
-    power = np.sum([remainder.power for remainder in left_out], axis=0)
-    null = Null(np.array(scores), tuple(t / count for t in total))
-    return null, np.sqrt(power / samples)
+    for at, contrast in enumerate(left_out):
+        of_others = tempering(every != at, freedom - 1)
+        scores.append(of_others.score(evidence_of(contrast, shapes, of_others)))
+    return Null(np.array(scores)), tempering(every >= 0, freedom)
 
 
-def _scores(
-    remainder: Remainder, shapes: Sequence[Shape], drift: Sequence[FloatArray]
-) -> FloatArray:
-    """(shapes,) log odds of a change of each law against no change, of equal priors.
-
-    The gain is that of the profiled noise of each joint, and is reduced by the share of the change
-    that the law's drift explains.
-    """
-    log_odds = np.empty(len(shapes))
-    for at, (shape, law_drift) in enumerate(zip(shapes, drift, strict=True)):
-        columns = shape.indices
-        change, information = remainder.fit(columns)
-        after = remainder.power_after(columns, change)
-        gain = 0.5 * _SAMPLES * float(np.log(remainder.power / after).sum())
-        covariance = np.linalg.inv(information) / _SAMPLES
-        square = float(change @ np.linalg.solve(covariance, change))
-        with_drift = float(change @ np.linalg.solve(covariance + law_drift, change))
-        log_odds[at] = gain * with_drift / max(square, 1e-300) - _PENALTY * len(columns)
-    return log_odds
+def _gains(contrast: Contrast, shapes: Sequence[Shape]) -> tuple[FloatArray, FloatArray]:
+    """(shapes,) gain of log-likelihood by a change of each law, and its penalty (Occam factor)."""
+    gains, penalties = np.empty(len(shapes)), np.empty(len(shapes))
+    amplitudes = np.array([len(shape.columns) for shape in shapes])
+    for count in np.unique(amplitudes):
+        (which,) = np.nonzero(amplitudes == count)
+        columns = np.array([shapes[k].indices for k in which.tolist()])
+        precision = contrast.information[columns[:, :, None], columns[:, None, :]]
+        precision = precision + np.eye(count) / AMPLITUDE_PRIOR**2
+        vector = contrast.vector[columns]
+        change = np.linalg.solve(precision, vector[..., None])[..., 0]
+        gains[which] = 0.5 * (vector * change).sum(axis=1)
+        penalties[which] = 0.5 * np.linalg.slogdet(precision * AMPLITUDE_PRIOR**2)[1]
+    return gains, penalties
 
 
-def _best_change(
-    remainder: Remainder,
+def evidence_of(contrast: Contrast, shapes: Sequence[Shape], tempering: Tempering) -> FloatArray:
+    """(shapes,) log evidence of a change of each law against no change, of equal priors."""
+    gains, penalties = _gains(contrast, shapes)
+    return np.asarray(gains / tempering.inflation - penalties)
+
+
+def _estimate(contrast: Contrast, shape: Shape) -> tuple[FloatArray, FloatArray]:
+    """(k,) change of the amplitudes of a shape and its (k, k) precision."""
+    columns = shape.indices
+    precision = contrast.information[np.ix_(columns, columns)]
+    precision = precision + np.eye(len(columns)) / AMPLITUDE_PRIOR**2
+    change = np.linalg.solve(precision, contrast.vector[columns])
+    return np.asarray(change, dtype=np.float64), precision
+
+
+def best_change(
+    contrast: Contrast,
     shapes: Sequence[Shape],
-    drift: Sequence[FloatArray],
-    scores: FloatArray,
-) -> Change:
-    """The most probable law, in its best shape."""
-    odds: dict[Term, float] = {}
-    count: dict[Term, int] = {}
-    for shape, score in zip(shapes, scores, strict=True):
-        odds[shape.term] = float(np.logaddexp(odds.get(shape.term, -np.inf), score))
-        count[shape.term] = count.get(shape.term, 0) + 1
-    # A law with many shapes is not likelier because of them.
-    log_odds = np.array([odds[term] - np.log(count[term]) for term in odds])
-    every = np.append(log_odds, 0.0)
-    share = np.exp(every - np.logaddexp.reduce(every))
-    probability = dict(zip(odds, share[:-1].tolist(), strict=True))
-    term = max(probability, key=lambda one: probability[one])
-    at = max(
-        (k for k, shape in enumerate(shapes) if shape.term == term), key=lambda k: float(scores[k])
+    types: Sequence[TypeLaw],
+    tempering: Tempering,
+    evidence: FloatArray,
+) -> list[Change]:
+    """The most probable law in its best shape: one change, or one for each joint of a motor type.
+
+    The gain is not yet known.
+    """
+    of_types = [law.estimate(contrast, tempering.inflation) for law in types]
+    every = np.concatenate([evidence, [estimate[0] for estimate in of_types]])
+    terms = [*(shape.term for shape in shapes), *(law.term for law in types)]
+    probability = probabilities(terms, every, tempering)
+    term = max(probability, key=lambda law: probability[law])
+    best = max(
+        (k for k, candidate in enumerate(terms) if candidate == term), key=lambda k: float(every[k])
     )
-    value, own = _estimate(remainder, shapes[at], drift[at])
-    simpler = _simplest(shapes, at, np.abs(value) > Z95 * np.sqrt(np.diag(own)), scores)
     confidence = probability[term]
-    if simpler != at:
-        at, replaced = simpler, term
-        term = shapes[at].term
-        value, own = _estimate(remainder, shapes[at], drift[at])
+    if best >= len(shapes):
+        law, (_, value, covariance) = types[best - len(shapes)], of_types[best - len(shapes)]
+        changed = [k for k in law.members if evidence[k] > 0.0]
+        if len(changed) != 1:
+            return _of_type(law, shapes, value, covariance, confidence, _rivals(probability, term))
+        # Only one of its joints changed.
+        best, replaced = changed[0], term
+        term = shapes[best].term
+        confidence += probability[term]
+        del probability[replaced]
+    significant = _significant(contrast, shapes[best], best, tempering)
+    simpler = _simplest(shapes, best, significant, evidence)
+    if simpler != best:
+        best, replaced = simpler, term
+        term = shapes[best].term
         if term != replaced:
             confidence += probability[term]
             del probability[replaced]
-    columns = shapes[at].indices
-    after = remainder.power_after(columns, value)
-    acted = (remainder.matrix[:, columns, columns] > 0.0).any(axis=1)
-    gain = 1.0 - float(np.mean(after[acted] / remainder.power[acted])) if acted.any() else 0.0
-    rivals = {
-        one: p
-        for one, p in sorted(probability.items(), key=lambda each: -each[1])[:6]
-        if one != term and p >= 0.01
+    value, covariance = _with_covariance(contrast, shapes[best], tempering.inflation[best])
+    return [Change(shapes[best], value, covariance, confidence, _rivals(probability, term))]
+
+
+def _of_type(
+    law: TypeLaw,
+    shapes: Sequence[Shape],
+    value: FloatArray,
+    covariance: FloatArray,
+    confidence: float,
+    rivals: Mapping[Term, float],
+) -> list[Change]:
+    """The change of each joint of a motor type."""
+    parts = np.split(np.arange(len(value)), len(law.members))
+    return [
+        Change(
+            shapes[k], value[part], covariance[np.ix_(part, part)], confidence, rivals,
+            motor=law.motor,
+        )
+        for k, part in zip(law.members, parts, strict=True)
+    ]  # fmt: skip
+
+
+def _significant(
+    contrast: Contrast, shape: Shape, at: int, tempering: Tempering
+) -> NDArray[np.bool_]:
+    """(k,) whether each amplitude of a shape differs from 0.
+
+    Args:
+        at: index of the shape.
+    """
+    value, covariance = _with_covariance(contrast, shape, tempering.inflation[at])
+    return np.asarray(np.abs(value) > tempering.deviations * np.sqrt(np.diag(covariance)))
+
+
+def _rivals(probability: Mapping[Term, float], term: Term) -> dict[Term, float]:
+    """Other laws that are not improbable."""
+    return {
+        law: p
+        for law, p in sorted(probability.items(), key=lambda each: -each[1])[:6]
+        if law != term and p >= _LEAST_PROBABILITY
     }
-    return Change(shapes[at], value, own, confidence, rivals, gain)
 
 
-def _estimate(
-    remainder: Remainder, shape: Shape, drift: FloatArray
+def probabilities(
+    terms: Sequence[Term], evidence: FloatArray, tempering: Tempering
+) -> dict[Term, float]:
+    """Law -> its probability among all laws and no change.
+
+    A law with many shapes is not likelier because of them.
+
+    Args:
+        terms: law of each shape.
+        evidence: (shapes,) log evidence against no change.
+    """
+    every = np.append(evidence, 0.0)
+    *odds, no_change = tempering.odds(every.max() - every).tolist()
+    by_law: dict[Term, list[float]] = {}
+    for term, log_odds in zip(terms, odds, strict=True):
+        by_law.setdefault(term, []).append(log_odds)
+    of_law = [np.logaddexp.reduce(each) - np.log(len(each)) for each in by_law.values()]
+    log_odds = np.array([*of_law, no_change])
+    share = np.exp(log_odds - np.logaddexp.reduce(log_odds))
+    return dict(zip(by_law, share[:-1].tolist(), strict=True))
+
+
+def _with_covariance(
+    contrast: Contrast, shape: Shape, inflation: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) change of the amplitudes of a shape and its (k, k) covariance."""
-    value, information = remainder.fit(shape.indices)
-    return value, np.linalg.inv(information) / _SAMPLES + drift
+    value, precision = _estimate(contrast, shape)
+    return value, np.asarray(inflation * np.linalg.inv(precision), dtype=np.float64)
+
+
+def _gain(rows: Rows, columns: NDArray[np.intp], before: FloatArray, after: FloatArray) -> float:
+    """Share of the squared residual that a change removes, joints on which it acts alike."""
+    acts = [bool(np.isin(columns, sums.columns).any()) for sums in rows.sums[0]]
+    seen = np.array(acts) & (before > 0.0)
+    return 1.0 - float(np.mean((after[seen] / before[seen]) ** 2)) if seen.any() else 0.0
 
 
 def _simplest(
-    shapes: Sequence[Shape], at: int, significant: NDArray[np.bool_], scores: FloatArray
+    shapes: Sequence[Shape], best: int, significant: NDArray[np.bool_], scores: FloatArray
 ) -> int:
     """Index of the law that has the significant amplitudes of a shape and fewer others.
 
     Dry friction alone instead of Stribeck friction without a significant stiction, for example.
     """
-    own = set(shapes[at].indices.tolist())
-    needed = set(shapes[at].indices[significant].tolist())
+    columns = set(shapes[best].indices.tolist())
+    needed = set(shapes[best].indices[significant].tolist())
     simpler = [
         k for k, shape in enumerate(shapes)
-        if needed and needed <= set(shape.indices.tolist()) < own
+        if needed and needed <= set(shape.indices.tolist()) < columns
     ]  # fmt: skip
-    return max(simpler, key=lambda k: float(scores[k]), default=at)
+    return max(simpler, key=lambda k: float(scores[k]), default=best)

@@ -114,6 +114,8 @@ def _finding(found: Changes, change: Change) -> dict[str, Any]:
     return {
         "effect": shape.term.effect,
         "joint": _joint(found, shape.term),
+        "scope": _scope(change),
+        "motor": change.motor,
         "confidence": round(change.confidence, 4),
         "parameters": parameters,
         "change": {name: _estimate(new, d, unit) for name, unit, _, _, new, d in rows},
@@ -127,6 +129,13 @@ def _finding(found: Changes, change: Change) -> dict[str, Any]:
         ],
         "next_test": _next_test(change),
     }
+
+
+def _scope(change: Change) -> str:
+    """Whether the law changed at one joint, at all joints of a motor type, or of the robot."""
+    if change.motor is not None:
+        return "motor"
+    return "robot" if change.shape.term.joint < 0 else "joint"
 
 
 def _joint(found: Changes, term: Term) -> str | None:

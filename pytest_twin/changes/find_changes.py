@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from pytest_twin.changes.recordings import (
     sessions_of,
 )
 from pytest_twin.effects.base import si_unit
-from pytest_twin.errors import RecordingError
+from pytest_twin.errors import RecordingError, SpecError, TwinError
 from pytest_twin.identification.effort.law_columns import EffortLaws
 from pytest_twin.identification.effort.laws_along import LawsAlong, band_of, rms_of
 from pytest_twin.realization import Realization
@@ -86,8 +87,9 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
     beyond = outside([p.bounds for p in parts[:first]], [p.bounds for p in parts[first:last]])
     widening = 1.0 + float(beyond.max())
     comparison = compare(
-        rows, sessions, [[first + i for i in own] for own in later], laws.shapes, level, widening
-    )
+        rows, sessions, [[first + i for i in own] for own in later], laws.shapes, level, widening,
+        motors_of(realization, laws.joints),
+    )  # fmt: skip
     _refuse_other_unit(rows, comparison, range(first, last), size)
     if beyond.max() > 0.0:
         joint = laws.joints[int(beyond.argmax())]
@@ -100,6 +102,28 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
         laws, rows, comparison, tuple(range(first)), tuple(range(first, last)), tuple(held_out),
         words, _removed(rows, comparison, held_out), beyond, tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+def motors_of(realization: Realization, joints: Sequence[str]) -> dict[str, list[int]]:
+    """Motor type -> indices of its joints among those of the recordings.
+
+    Raises:
+        SpecError: ``motors:`` of the twin names a joint that the model lacks.
+    """
+    twin = realization.twin
+    motors: dict[str, list[int]] = {}
+    if twin is None:
+        return motors
+    path = twin.path
+    for motor, names in twin.motors.items():
+        where = f"motors.{motor}"
+        try:
+            for name in names:
+                realization.joint_index(name)
+        except TwinError as error:
+            raise SpecError(f"{error}", path=path, where=where) from error
+        motors[motor] = [joints.index(name) for name in names if name in joints]
+    return motors
 
 
 def _refuse_other_unit(rows: Rows, comparison: Comparison, new: range, size: FloatArray) -> None:

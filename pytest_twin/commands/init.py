@@ -216,6 +216,7 @@ def _set_up(
             motors=seen["motors"],
             reading=_reading(args),
             critical=seen["critical"],
+            alike=seen["alike"],
         )
         twin_file = writing.write_twin_file(folder, first)
         writing.write_schemas(folder)

@@ -110,6 +110,8 @@ def _rows(finding: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 def _before_and_after(finding: Mapping[str, Any]) -> list[str]:
     name = place(finding)
+    if finding.get("motor") is not None:
+        name += f" (all motors of the type {finding['motor']} changed)"
     lines = [f"{name[:1].upper()}{name[1:]}, beside the model:"]
     lines += [
         f"  {meaning}: {before} before, {now} now; change {change}"

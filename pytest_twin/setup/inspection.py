@@ -14,6 +14,7 @@ from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.proposals import Actuation, fixed_base
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import Realization, load
+from pytest_twin.realization.joint_limits import model_effort
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.twin import load_twin
 
@@ -56,7 +57,21 @@ def inspect_model(model: str) -> dict[str, Any]:
         ],
         "tcp": _last_frame(realization),
         "motors": _motors(realization),
+        "alike": _joints_alike(realization),
     }
+
+
+def _joints_alike(realization: Realization) -> list[list[str]]:
+    """Joints that may have the same motor: their armatures and effort limits are equal."""
+    alike: dict[tuple[float, ...], list[str]] = {}
+    for joints in realization.structure.actuator_joints.values():
+        if len(joints) != 1 or (limits := model_effort(realization, joints[0])) is None:
+            continue
+        armature = float(realization.model.dof_armature[realization.joint_dof_index(joints[0])])
+        of_motor = alike.setdefault((armature, *limits), [])
+        if joints[0] not in of_motor:
+            of_motor.append(joints[0])
+    return [joints for joints in alike.values() if len(joints) > 1]
 
 
 def _motors(realization: Realization) -> dict[str, str]:

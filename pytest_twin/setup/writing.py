@@ -94,6 +94,7 @@ class FirstTwin:
         motors: actuator -> ``hinge`` or ``slide``, for a URDF, which states no controller.
         reading: options of recordings, such as ``topics``, ``joints`` and ``clock``.
         critical: ids of the critical findings of the audit.
+        alike: groups of joints that may have the same motor.
     """
 
     name: str
@@ -105,6 +106,7 @@ class FirstTwin:
     motors: Mapping[str, str]
     reading: Mapping[str, Any]
     critical: Sequence[str] = ()
+    alike: Sequence[Sequence[str]] = ()
 
 
 def write_twin_file(folder: Path, first: FirstTwin) -> Path:
@@ -139,9 +141,27 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
     path = folder / FILE_NAME
     servos = _servo_lines(motors, with_fit=bool(inertia_repairs)) if motors else ""
     atomic.write_text(
-        path, f"{head}\n{_dump(content)}{servos}{_acceptance(first.critical)}{_RULES}"
+        path,
+        f"{head}\n{_dump(content)}{servos}{_motor_types(first.alike)}{_acceptance(first.critical)}"
+        f"{_RULES}",
     )
     return path
+
+
+def _motor_types(alike: Sequence[Sequence[str]]) -> str:
+    """Commented lines that group joints with equal motors; empty without any."""
+    if not alike:
+        return ""
+    groups = "".join(
+        f"#   type_{number}: {json.dumps(list(joints), ensure_ascii=False)}\n"
+        for number, joints in enumerate(alike, start=1)
+    )
+    return (
+        "# These joints have equal armatures and effort limits. If their motors are of one type,\n"
+        "# take the # off these lines and write the type: diagnose --before then says whether one\n"
+        "# joint changed or the type.\n"
+        f"# motors:\n{groups}"
+    )
 
 
 def _acceptance(critical: Sequence[str]) -> str:

@@ -145,3 +145,26 @@ def test_the_demo_twin_can_be_released(tmp_path: Path) -> None:
         "asset", "collision_distance", "contact", "fk", "frequency_response", "joint_direction",
         "limits", "mass_properties", "replay", "settling", "step", "task",
     }  # fmt: skip
+
+
+def test_joints_with_equal_motors_are_proposed_as_a_type(tmp_path: Path) -> None:
+    links = "".join(
+        f'<body name="{joint}"><joint name="{joint}" armature="{armature}" range="-1 1"/>'
+        '<geom size=".1" mass="1"/></body>'
+        for joint, armature in {"pan": 0.1, "lift": 0.1, "turn": 0.2}.items()
+    )
+    motors = "".join(f'<motor joint="{j}" ctrlrange="-3 3"/>' for j in ("pan", "lift", "turn"))
+    robot = tmp_path / "robot.xml"
+    robot.write_text(
+        f'<mujoco><compiler angle="radian"/><worldbody>{links}</worldbody>'
+        f"<actuator>{motors}</actuator></mujoco>"
+    )
+    made = run("pytest-twin", "init", str(robot), "--out", "twin", cwd=tmp_path, state=tmp_path)
+    assert made.returncode == 0, made.stdout + made.stderr
+    twin = tmp_path / "twin" / "twin.yaml"
+    assert load_twin(twin).motors == {}
+    lines = twin.read_text().splitlines()
+    at = lines.index("# motors:")
+    lines[at : at + 2] = [line.removeprefix("# ") for line in lines[at : at + 2]]
+    twin.write_text("\n".join(lines) + "\n")
+    assert load_twin(twin).motors == {"type_1": ("pan", "lift")}

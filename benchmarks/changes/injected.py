@@ -1,0 +1,201 @@
+"""Add laws to the efforts of real recordings, and compare them with recordings without.
+
+The laws are added to the linear rows. The scatter between recordings is estimated once for each
+choice of new recordings, because a law that is the same in all of them is no scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+
+from pytest_twin.changes.background import Contrast, Rows
+from pytest_twin.changes.comparison import (
+    SURE_OF_NAME,
+    Prepared,
+    best_change,
+    evidence_of,
+    prepare,
+)
+from pytest_twin.changes.motor_types import TypeLaw
+from pytest_twin.changes.recordings import at_one_rate
+from pytest_twin.identification.effort.law_columns import EffortLaws, Shape
+from pytest_twin.identification.effort.laws_along import LawsAlong, band_of, rms_of
+from pytest_twin.identification.measured_recordings import MeasuredRecording
+from pytest_twin.realization import Realization
+
+SIZES = (0.25, 0.5, 1.0, 2.0)
+NEW = 3
+LEVEL = 0.05
+IDENTIFIED = (
+    "inertial_parameters", "armature", "viscous_friction", "coulomb_friction", "effort_bias",
+)  # fmt: skip
+ONE_AMPLITUDE = ("inertial_parameters", "gear_efficiency", "thermal_friction")
+LAST_AMPLITUDE = ("stribeck_friction", "motor_load_friction")
+"""Laws whose first amplitude is dry friction or a load, which are laws of their own."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Rows of all recordings.
+
+    Attributes:
+        residual: (joints,) RMS residual after an identification, N*m.
+    """
+
+    laws: EffortLaws
+    rows: Rows
+    residual: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of recordings."""
+        return len(self.rows.parts)
+
+
+def robot_of(realization: Realization, recordings: Sequence[MeasuredRecording]) -> Robot:
+    """Evaluate every law along recordings."""
+    every = at_one_rate(recordings)
+    along = LawsAlong.of(realization, every, band_of(every))
+    effort = rms_of([one.effort for one in every])
+    # A joint without a measured effort has no residual, so no case.
+    rows = Rows.of(along.rows(every), np.where(effort > 0.0, effort, 1.0), along.laws.count)
+    return Robot(along.laws, rows, identified_residual(along.laws, rows))
+
+
+def identified_residual(laws: EffortLaws, rows: Rows) -> np.ndarray:
+    columns = sorted({
+        int(c) for s in laws.shapes if s.term.effect in IDENTIFIED for c in s.indices
+    })  # fmt: skip
+    matrix, vector = np.zeros((laws.count, laws.count)), np.zeros(laws.count)
+    for j, sums in enumerate(rows.sums_of(range(len(rows.parts)))):
+        matrix[np.ix_(sums.columns, sums.columns)] += sums.matrix / rows.size[j] ** 2
+        vector[sums.columns] += sums.vector / rows.size[j] ** 2
+    square = matrix[np.ix_(columns, columns)]
+    ridge = 1e-6 * np.trace(square) / len(columns) * np.eye(len(columns))
+    amplitudes = np.zeros(laws.count)
+    amplitudes[columns] = np.linalg.solve(square + ridge, vector[columns])
+    return rows.residual_rms(range(len(rows.parts)), amplitudes)
+
+
+def drawn_amplitudes(
+    robot: Robot,
+    shapes: Sequence[Shape],
+    joint: int,
+    new: Sequence[int],
+    random: np.random.Generator,
+) -> np.ndarray:
+    """(columns,) amplitudes of one law whose effort at its joint is the residual (r = 1)."""
+    shape = shapes[random.integers(len(shapes))]
+    effect, count = shape.term.effect, len(shape.columns)
+    sums = robot.rows.sums_of(new)[joint]
+    at = np.searchsorted(sums.columns, shape.indices)
+    square = sums.matrix[np.ix_(at, at)] / sums.samples
+    direction = random.normal(size=count) / np.sqrt(np.diag(square))
+    if effect in ("asymmetric_friction", "directional_viscous_friction"):
+        # One direction of motion only.
+        direction = np.array([1.0, random.choice([-1.0, 1.0])]) / robot.rows.scale[shape.indices]
+    elif effect in ONE_AMPLITUDE:
+        direction = np.eye(count)[random.integers(count)]
+    elif effect in LAST_AMPLITUDE:
+        direction = np.eye(count)[-1]
+    elif effect == "position_dependent_friction":
+        direction[0] = 0.0
+    amplitudes = np.zeros(robot.laws.count)
+    size = random.choice([-1.0, 1.0]) * robot.residual[joint]
+    amplitudes[shape.indices] = direction * size / np.sqrt(direction @ square @ direction)
+    return amplitudes
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Answer of one case; effect and joint are empty where nothing is named."""
+
+    effect: str
+    joint: int
+    named: str
+    named_joint: int
+    confidence: float
+    score: float
+    threshold: float
+
+    @property
+    def is_right(self) -> bool:
+        """Whether effect and joint are right."""
+        return (self.named, self.named_joint) == (self.effect, self.joint)
+
+
+def in_process(
+    robot: Robot, choices: Sequence[tuple[int, ...]], seed: int, sizes: Sequence[float] = SIZES
+) -> dict[float, list[Outcome]]:
+    """Size r -> outcomes; r = 0 has one for each choice."""
+    outcomes: dict[float, list[Outcome]] = {r: [] for r in (0.0, *sizes)}
+    shapes = robot.laws.shapes
+    by_law: dict[tuple[str, int], list[Shape]] = {}
+    for shape in shapes:
+        if shape.term.effect != "inertial_parameters" or len(shape.columns) == 1:
+            by_law.setdefault((shape.term.effect, shape.term.joint), []).append(shape)
+    for new in choices:
+        random = np.random.default_rng([seed, *new])
+        earlier = [[i] for i in range(robot.count) if i not in new]
+        prepared = prepare(robot.rows, earlier, [[i] for i in new], shapes)
+        for (effect, joint), candidates in by_law.items():
+            if joint < 0 or not robot.residual[joint]:
+                continue
+            amplitudes = drawn_amplitudes(robot, candidates, joint, new, random)
+            for r, of_size in outcomes.items():
+                if r == 0.0 and of_size and of_size[-1].effect == str(new):
+                    continue
+                law = (effect if r else str(new), joint)
+                of_size.append(answer(robot, prepared, (), law, r * amplitudes))
+    return outcomes
+
+
+def answer(
+    robot: Robot,
+    prepared: Prepared,
+    types: Sequence[TypeLaw],
+    law: tuple[str, int],
+    amplitudes: np.ndarray,
+) -> Outcome:
+    """Compare when amplitudes are added to the new recordings.
+
+    Args:
+        law: effect and joint that are added.
+    """
+    information, shapes = prepared.contrast.information, robot.laws.shapes
+    contrast = Contrast(information, prepared.contrast.vector + information @ amplitudes)
+    evidence = evidence_of(contrast, shapes, prepared.tempering)
+    first, *_ = best_change(contrast, shapes, types, prepared.tempering, evidence)
+    joint = first.shape.term.joint
+    if first.motor is not None:
+        joint = next(law.term.joint for law in types if law.motor == first.motor)
+    return Outcome(
+        *law, first.shape.term.effect, joint, first.confidence, prepared.tempering.score(evidence),
+        max(prepared.null.threshold(LEVEL), 0.0),
+    )  # fmt: skip
+
+
+def interval(count: int, total: int) -> str:
+    """Exact (Clopper-Pearson) interval of a share in percent."""
+    test = scipy.stats.binomtest(count, total).proportion_ci(0.95, "exact")
+    return f"{100 * test.low:.0f} to {100 * test.high:.0f} %"
+
+
+def show(title: str, outcomes: Sequence[Outcome]) -> None:
+    """Print the figures of cases of one size."""
+    total = len(outcomes)
+    right = sum(o.is_right for o in outcomes)
+    joint = sum(o.named_joint == o.joint for o in outcomes)
+    alarms = sum(o.score > o.threshold for o in outcomes)
+    named = [o for o in outcomes if o.score > o.threshold and o.confidence >= SURE_OF_NAME]
+    sure = [o for o in named if o.confidence >= 0.9]
+    print(
+        f"{title:<16} {total:5d} cases | first {100 * right / total:3.0f} % | joint "
+        f"{100 * joint / total:3.0f} % | alarm {100 * alarms / total:3.0f} % | named "
+        f"{100 * len(named) / total:3.0f} %, right {sum(o.is_right for o in named)} | at 0.9 "
+        f"{len(sure)}, right {sum(o.is_right for o in sure)}"
+    )
