@@ -199,6 +199,16 @@ def prepare(
     )  # fmt: skip
 
 
+def _is_unpredicted(changes: Sequence[Change], unpredicted: NDArray[np.bool_]) -> bool:
+    """Whether earlier sessions do not predict each other where these changes act.
+
+    Args:
+        unpredicted: (joints,) whether the residual of sessions left out is as large as the effort.
+    """
+    joints = [change.shape.term.joint for change in changes]
+    return any(unpredicted.any() if joint < 0 else unpredicted[joint] for joint in joints)
+
+
 def _groups(earlier: int, later: int) -> list[list[int]]:
     """Earlier sessions that are left out together, each session equally often.
 
@@ -237,11 +247,12 @@ def compare(
     new = [i for session in later for i in session]
     changed = background.mean.copy()
     rest = prepared.contrast
+    unpredicted = prepared.usual >= rows.size
     for _ in range(_MOST_CHANGES):
         if tempering.score(evidence) <= threshold:
             break
         named = best_change(rest, shapes, types, tempering, evidence)
-        if named[0].confidence < SURE_OF_NAME:
+        if named[0].confidence < SURE_OF_NAME or _is_unpredicted(named, unpredicted):
             break
         for change in named:
             columns = change.shape.indices

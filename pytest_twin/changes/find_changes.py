@@ -97,6 +97,16 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
             f"the new motion of {joint} leaves the range of the earlier ones by "
             f"{100 * beyond.max():.0f} % of it: the alarm level is {widening:.2f} times as high"
         )
+    lost = [
+        j
+        for j, rms, effort in zip(laws.joints, comparison.usual, size, strict=True)
+        if rms >= effort
+    ]
+    if lost:
+        notes.append(
+            f"the earlier recordings do not predict each other at {', '.join(lost)}: no change is "
+            "named there; record motions that repeat"
+        )
     held_out = range(last, len(every))
     return Changes(
         laws, rows, comparison, tuple(range(first)), tuple(range(first, last)), tuple(held_out),
