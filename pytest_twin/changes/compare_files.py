@@ -20,7 +20,6 @@ from pytest_twin.changes.trials import read_compared_trials
 from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.loaded_model import load_model
 from pytest_twin.processor_time import call_began
-from pytest_twin.realization.engine import require_batches
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 from pytest_twin.recording_options import RecordingOptions
 
@@ -75,7 +74,6 @@ def compare_files(
         progress(0.95)
         return changes_document(found, level=asked.level, release=asked.release)
     refuse_without_commands(compared)
-    require_batches("a comparison by simulation")
     with suppress_mujoco_warnings():
         by_simulation = find_changes_by_simulation(
             loaded.realization,
