@@ -21,8 +21,8 @@ from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.effort.law_columns import Shape
 
 _SPREAD = 0.5
-"""Scale of the spread between motors of one type, relative to the type's value. Friction of small
-servos of one type differs by up to half of it."""
+"""Scale of the spread between motors of one type, relative to the type's value. An assumption for
+all laws; the catalogue states no spread."""
 _SPREADS = _SPREAD * ndtri(0.5 + 0.5 * np.array([1.0, 3.0, 5.0]) / 6.0)
 """Middles of three equally probable parts of the half-normal law."""
 _OF_LINKS = "rigid_body"

@@ -22,12 +22,14 @@ from pytest_twin.arrays import FloatArray
 
 AMPLITUDE_PRIOR = 0.1
 """Standard deviation of an amplitude and of its change before any recording: its effort relative to
-the RMS effort of the joint. Results hardly differ between 0.06 and 0.3."""
+the RMS effort of the joint. Chosen on Baxter: up to 0.3 the share of right first names changes by
+3 points, and at 0.1 it is largest."""
 _PRIOR_SESSIONS = 2.0
 """Number of sessions that the prior of a variance counts as (inverse gamma law)."""
 _PRIOR_DEVIATION = 0.03
 """Deviation of an amplitude between sessions before any recording, relative to the noise of the
-joint. It is small, so that the recordings decide."""
+joint. It is small, so that the recordings decide. Chosen on Baxter between 0.003 and 0.3: at r = 1
+the first name was right in 79 % at 0.01, 80 % at 0.03 and 69 % at 0.1."""
 _ITERATIONS = 6
 """Number of steps of the expectation maximization; the scores then change by less than their
 scatter."""
