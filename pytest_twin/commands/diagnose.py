@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import before, fleet, json_output, model_files
+from pytest_twin.commands import before, fleet, json_output, model_files, viewer_files
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
@@ -20,10 +20,12 @@ from pytest_twin.commands.recording_arguments import (
 from pytest_twin.commands.terminal import show
 from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.errors import TwinError
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REALIZATION, REPORT_FILE
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
 from pytest_twin.processor_time import call_began
+from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.report.text import printable
 
@@ -102,6 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run the fleet on the workers of this Dask scheduler, tcp://HOST:PORT (extra `dask`); "
         "they need access to the same files",
     )
+    viewer_files.add_arguments(parser)
     add_recording_arguments(parser)
     model_files.add_arguments(parser)
 
@@ -117,6 +120,11 @@ def run(args: argparse.Namespace) -> int:
         "options": recording_options(args),
         "seconds": SECONDS if args.seconds is None else args.seconds,
     }
+    if (args.fleet is not None or args.before) and (args.view or args.rerun):
+        raise TwinError(
+            "only for the diagnosis of one robot", where="--view, --rerun",
+            expected="pytest-twin replay DIR RECORDING --out FILE.mcap --view FILE.mcap",
+        )  # fmt: skip
     if args.fleet is not None:
         if args.before:
             raise TwinError(
@@ -145,6 +153,8 @@ def run(args: argparse.Namespace) -> int:
             "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml too"
         )
     out: Path = args.out.absolute()
+    drawn = (args.held_out or args.recordings)[0].resolve()
+    viewers = viewer_files.chosen(args, drawn)
     progress = Progress("diagnosing", _STAGES)
     with progress.stopping_early("the best result so far is written") as stop:
         with progress:
@@ -154,7 +164,30 @@ def run(args: argparse.Namespace) -> int:
         json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
         show("\n".join(printable(text) for text in summary["words"]))
         show(f"report: {args.out / REPORT_FILE}")
+        if viewers:
+            _write_viewer_files(viewers, out, drawn, arguments)
     return EXPLAINED if summary["verdict"] in ("no_mismatch", "explained") else LEFT_OVER
+
+
+def _write_viewer_files(
+    viewers: Mapping[str, str], folder: Path, recording: Path, arguments: Mapping[str, Any]
+) -> None:
+    """Replay a recording on the diagnosed model, and write both robots for viewers."""
+    with temporary_folder() as temporary, Sandbox() as sandbox:
+        sandbox.call(
+            "pytest_twin.commands.replay:replay_file",
+            {
+                "request": {
+                    "model": str(find_model(folder)),
+                    "recording": str(recording),
+                    "out": str(temporary / "predicted.mcap"),
+                    "topics": arguments["topics"],
+                    "options": arguments["options"],
+                    "viewers": viewers,
+                }
+            },
+        )
+    viewer_files.tell(viewers)
 
 
 # Files, options and the two ways to its parent are independent of each other.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands import json_output, model_files, viewer_files
 from pytest_twin.commands.prediction import concatenate, distances, predict, predicted_positions
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
@@ -19,7 +19,6 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.terminal import show
-from pytest_twin.commands.viewer_files import write_viewer_files
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.mcap import write_recording
@@ -59,19 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"predicted {STATE_TOPIC} at the stamps of the recording; FILE.json and FILE.html "
         "next to it compare it with the recording, for each joint and over frequency",
     )
-    parser.add_argument(
-        "--view",
-        metavar="FILE.mcap",
-        type=Path,
-        help="also write the measured and the predicted robot side by side, with plots of the "
-        "joints, for Foxglove and Lichtblick; the layout is beside it (FILE.layout.json)",
-    )
-    parser.add_argument(
-        "--rerun",
-        metavar="FILE.rrd",
-        type=Path,
-        help="the same for Rerun (extra rerun)",
-    )
+    viewer_files.add_arguments(parser)
     add_recording_arguments(parser)
     parser.add_argument(
         "--episode",
@@ -90,7 +77,10 @@ def run(args: argparse.Namespace) -> int:
     """
     out: Path = args.out
     recording = args.recording.resolve()
-    viewers = _viewer_files(args, out, recording)
+    viewer_files.check_name(out, recording, ".mcap")
+    viewers = viewer_files.chosen(args, recording)
+    if args.view is not None and args.view.resolve() == out.resolve():
+        raise TwinError("one file for two results", path=out, where="--view", expected="another")
     data_name, page_name = out.with_suffix(".json").name, out.with_suffix(".html").name
     with (
         results.result_folder(out.parent, data_name, replaceable=(out.name,)) as staging,
@@ -107,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
                     "topics": args.topics,
                     "options": recording_options(args),
                     "episode": args.episode,
-                    "viewers": {name: str(path) for name, path in viewers.items()},
+                    "viewers": viewers,
                 },
             },
             progress=progress,
@@ -117,21 +107,8 @@ def run(args: argparse.Namespace) -> int:
         atomic.write_text(staging / page_name, page.render(summary))
     json_output.give(args, summary)
     show(_words(summary))
-    for path in viewers.values():
-        show(f"  for viewers: {path}")
+    viewer_files.tell(viewers)
     return DONE
-
-
-def _viewer_files(args: argparse.Namespace, out: Path, recording: Path) -> dict[str, Path]:
-    """Name of an option -> its file; all files of the command line are checked."""
-    chosen = {"view": args.view, "rerun": args.rerun}
-    viewers = {name: path for name, path in chosen.items() if path is not None}
-    for path, suffix in ((out, ".mcap"), (args.view, ".mcap"), (args.rerun, ".rrd")):
-        if path is not None:
-            _check_out(path, recording, suffix)
-    if args.view is not None and args.view.resolve() == out.resolve():
-        raise TwinError("one file for two results", path=out, where="--view", expected="another")
-    return viewers
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +179,7 @@ def replay_file(
     )  # fmt: skip
     write_recording(Path(asked.out), [predicted], trials[0].metadata)
     if asked.viewers:
-        write_viewer_files(asked.viewers, realization, replayed, predicted)
+        viewer_files.write(asked.viewers, realization, replayed, predicted)
     first = trials[0]
     return {
         "schema": 1,
@@ -235,15 +212,6 @@ def replay_file(
             *realization.notes,
         ],
     }
-
-
-def _check_out(out: Path, recording: Path, suffix: str) -> None:
-    if out.suffix != suffix:
-        raise TwinError("not a file name of a recording", path=out, expected=f"FILE{suffix}")
-    if out.resolve() == recording:
-        raise TwinError("would overwrite the recording itself", path=out, expected="another file")
-    if not out.absolute().parent.is_dir():
-        raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
 
 
 def _words(summary: Mapping[str, Any]) -> str:

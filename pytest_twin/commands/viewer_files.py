@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pytest_twin.commands.terminal import show
+from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.viewer_mcap import Comparison, Surface, layout, write_comparison
@@ -21,7 +24,54 @@ if TYPE_CHECKING:
 _POSES_PER_SECOND = 50.0
 
 
-def write_viewer_files(
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--view`` and ``--rerun``."""
+    parser.add_argument(
+        "--view",
+        metavar="FILE.mcap",
+        type=Path,
+        help="also write the measured and the predicted robot side by side, with plots of the "
+        "joints, for Foxglove and Lichtblick; the layout is beside it (FILE.layout.json)",
+    )
+    parser.add_argument(
+        "--rerun", metavar="FILE.rrd", type=Path, help="the same for Rerun (extra rerun)"
+    )
+
+
+def chosen(args: argparse.Namespace, recording: Path) -> dict[str, str]:
+    """Name of an option -> its file.
+
+    Raises:
+        TwinError: a file has another suffix, or would overwrite the recording.
+    """
+    files = {"view": args.view, "rerun": args.rerun}
+    for name, suffix in (("view", ".mcap"), ("rerun", ".rrd")):
+        if files[name] is not None:
+            check_name(files[name], recording, suffix)
+    return {name: str(path) for name, path in files.items() if path is not None}
+
+
+def check_name(out: Path, recording: Path, suffix: str) -> None:
+    """Check the name of a file that will be written.
+
+    Raises:
+        TwinError: another suffix, the recording itself, or a folder that does not exist.
+    """
+    if out.suffix != suffix:
+        raise TwinError("not a file name of a recording", path=out, expected=f"FILE{suffix}")
+    if out.resolve() == recording:
+        raise TwinError("would overwrite the recording itself", path=out, expected="another file")
+    if not out.absolute().parent.is_dir():
+        raise TwinError("no such folder", path=out.parent, expected="a folder that exists")
+
+
+def tell(files: Mapping[str, str]) -> None:
+    """Print the names of the files."""
+    for path in files.values():
+        show(f"  for viewers: {path}")
+
+
+def write(
     files: Mapping[str, str],
     realization: Realization,
     trials: Sequence[Trial],

@@ -204,6 +204,23 @@ def test_the_steps_of_the_action_annotate_the_changed_robot(package: Path) -> No
     assert (package / "results" / "reports" / "urdf" / "arm.urdf.audit.html").is_file()
 
 
+def test_the_action_runs_the_goldens_of_a_twin_and_fails_with_them(package: Path) -> None:
+    """Compared with the signed release that is in the repository, as its cache restores it."""
+    twin = shutil.copytree(ROOT / "tests" / "release" / "twin_of_0_1", package / "cell")
+    inputs = {"package": "", "since": "HEAD", "results": "results", "twins": "cell"}
+    run = run_action(package, **inputs)
+    assert run.returncode == 0, run.stdout + run.stderr
+    suite = etree.parse(package / "results" / "twin-1.xml").getroot().find("testsuite")
+    assert suite is not None
+    # None runs where the versions are those of the release.
+    assert suite.get("failures") == suite.get("errors") == "0"
+    model = twin / "pendulum.xml"
+    model.write_text(model.read_text().replace('mass="1"', 'mass="2"'))
+    run = run_action(package, **inputs)
+    assert run.returncode == 1
+    assert "golden/mass_properties/mass_properties" in run.stdout
+
+
 def test_pre_commit_runs_the_hook_on_the_staged_robot(package: Path) -> None:
     (hook,) = [
         one

@@ -1,4 +1,4 @@
-"""``replay --view`` and ``--rerun``: both robots, their joints and a layout, in one file."""
+"""``--view`` and ``--rerun``: both robots, their joints and a layout, in one file."""
 
 from __future__ import annotations
 
@@ -103,3 +103,24 @@ def test_two_results_in_one_file_are_refused(
 ) -> None:
     assert replay(folder, "--view", str(folder / "out.mcap")) == 2
     assert "one file for two results" in capsys.readouterr().err
+
+
+def test_a_diagnosis_shows_what_its_patched_model_predicts(folder: Path) -> None:
+    command = ["diagnose", str(folder / "arm.xml"), str(folder / "log.csv"), "--seconds", "3"]
+    view = folder / "diagnosed.mcap"
+    assert cli.main([*command, "--out", str(folder / "d"), "--view", str(view)]) in (0, 1)
+    with view.open("rb") as stream:
+        reader = make_reader(stream)
+        topics = {channel.topic for _, channel, _ in reader.iter_messages()}
+        attached = {one.name: one.data for one in reader.iter_attachments()}
+    assert {"/measured/robot", "/predicted/robot", "/tf", "/joints/elbow"} <= topics
+    # The model in the file is the patched one.
+    assert attached["model.xml"] == (folder / "d/realization/model.xml").read_bytes()
+
+
+def test_a_fleet_takes_no_file_for_viewers(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["diagnose", "--fleet", str(folder / "f.yaml"), "--out", str(folder / "d")]
+    assert cli.main([*command, "--view", str(folder / "view.mcap")]) == 2
+    assert "only for the diagnosis of one robot" in capsys.readouterr().err
