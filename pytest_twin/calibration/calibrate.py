@@ -18,6 +18,7 @@ from pytest_twin.calibration.cameras.images import Images, read_images
 from pytest_twin.calibration.changed_cell import changed_cell
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident_markers import ExcludedMeasurement, without_coincident
+from pytest_twin.calibration.compliance import Compliance, with_compliance
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weigh_by_source
 from pytest_twin.calibration.input_mistake import InputMistake
@@ -79,12 +80,19 @@ class Solution:
         candidates: algebraic solver -> its state.
         sources: error source -> standard deviation, m or rad; empty if the sources cannot be
             distinguished.
+        compliance: bending of the arm under gravity, if the residuals show it.
     """
 
     estimate: CalibrationEstimate
     gauges: tuple[Gauge, ...]
     candidates: Mapping[str, State]
     sources: Mapping[str, float]
+    compliance: Compliance | None = None
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user has to know of the solution."""
+        return [] if self.compliance is None else [self.compliance.words]
 
 
 def calibrate_file(
@@ -267,11 +275,7 @@ def calibrate(
     _add_hypotheses(document["held_out"].get("pattern"), fit, held, errors)
     if gross:
         document["held_out"]["with_excluded"] = of_all.summary()
-    document["fitted"] = fitted.summary()
-    document["fitted"]["noise"] = dict(fit.noise)
-    if solved.sources:
-        document["fitted"]["error_sources"] = dict(solved.sources)
-    document["fitted"]["leave_one_out"] = dict(solved.estimate.leave_one_out)
+    document["fitted"] = _fitted_json(solved, fitted)
     document["solvers"], better = _solvers(held, solved, errors)
     document["excluded"] = [
         one.to_json() for one in (*rejected, *left_out, *_outliers(fit), *gross)
@@ -297,6 +301,7 @@ def calibrate(
         ),
     ]
     notes = [*problem.notes, *(() if seen is None else seen.notes), *_notes(plan, held)]
+    notes += solved.notes
     if not degenerate:
         notes += [
             f"the held-out observations do not test everything: with them alone, {words}; hold "
@@ -350,8 +355,9 @@ def solve_problem(problem: CalibrationProblem) -> Solution:
     if not directions:
         found = with_directions(found, uncertain_directions(fit, found.covariance, found.quantile))
     found, sources = weigh_by_source(found)
+    found, compliance = with_compliance(found)
     kept = {name: state for name, state in candidates.items() if not is_subset(name)}
-    return Solution(found, gauges, kept, sources)
+    return Solution(found, gauges, kept, sources, compliance)
 
 
 def _suspected(
@@ -395,6 +401,17 @@ def without_gross_errors(errors: Errors) -> tuple[Errors, tuple[ExcludedMeasurem
         for at in np.flatnonzero(gross)
     )
     return errors.only(~gross), left_out
+
+
+def _fitted_json(solved: Solution, fitted: Errors) -> dict[str, Any]:
+    """Errors of the fitted observations, and what their residuals show."""
+    found: dict[str, Any] = {**fitted.summary(), "noise": dict(solved.estimate.fit.noise)}
+    if solved.sources:
+        found["error_sources"] = dict(solved.sources)
+    if solved.compliance is not None:
+        found["compliance"] = solved.compliance.to_json()
+    found["leave_one_out"] = dict(solved.estimate.leave_one_out)
+    return found
 
 
 def _errors_json(errors: Errors, payloads: Sequence[str] | None) -> dict[str, Any]:

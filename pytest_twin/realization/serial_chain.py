@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import xml
@@ -49,6 +50,31 @@ class SerialChain:
     signs: Vector
     offsets: Vector
     limits: Vector | None = None
+
+    def frames(self, values: Vector) -> tuple[Vector, Vector]:
+        """Places of the joints and of the last frame, and axes of the joints, in the base.
+
+        Args:
+            values: (rows, n) joint values of the model, rad or m.
+
+        Returns:
+            (rows, n + 1, 3) places, m, and (rows, n, 3) unit axes.
+        """
+        pose = np.tile(np.eye(4), (len(values), 1, 1))
+        places, axes = [], []
+        for at, axis in enumerate(self.axes):
+            pose = pose @ self.placements[at]
+            places.append(pose[:, :3, 3])
+            axes.append(pose[:, :3, :3] @ axis)
+            moved = np.tile(np.eye(4), (len(values), 1, 1))
+            if self.revolute[at]:
+                turns = Rotation.from_rotvec(values[:, at, None] * axis)
+                moved[:, :3, :3] = turns.as_matrix()
+            else:
+                moved[:, :3, 3] = values[:, at, None] * axis
+            pose = pose @ moved
+        places.append((pose @ self.end)[:, :3, 3])
+        return np.stack(places, axis=1), np.stack(axes, axis=1)
 
 
 def load_serial_chain(path: Path, frame: str) -> SerialChain:
