@@ -151,7 +151,8 @@ def _test(
 
 
 def _sizes(slopes: FloatArray) -> FloatArray:
-    return np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    sizes: FloatArray = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    return sizes
 
 
 def _step(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
