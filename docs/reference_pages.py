@@ -52,6 +52,7 @@ RESULTS = {
     "realize": "`realize --json -`",
     "intake": "the asset's `manifest.json` after `intake`, and `intake --json -`",
     "effects": "`effects --json -`",
+    "export": "`export.json` and `export --json -`",
 }
 
 

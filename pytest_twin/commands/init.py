@@ -29,6 +29,7 @@ from pytest_twin.gate.gate import Gate
 from pytest_twin.gate.runner import Runner
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.failure import what
+from pytest_twin.servos.library import find
 from pytest_twin.setup import writing
 from pytest_twin.setup.anew import propose_anew
 from pytest_twin.setup.asset_files import ASSET, CopiedFiles, RobotFiles, copy_into_twin
@@ -40,6 +41,7 @@ EXAMPLES = (
     "pytest-twin init arm.urdf",
     "pytest-twin init arm_twin/twin.yaml",
     "pytest-twin init vendor/arm.xml --out arm_twin",
+    "pytest-twin init arm.urdf --servo sts3215",
     "pytest-twin init arm.urdf moves.mcap --tolerance 5mrad,wrist=2mrad",
 )
 EXIT_STATUS = {0: "the twin is set up and its goldens are recorded"}
@@ -81,6 +83,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=Path(),
         help="folder of the twin (default: the working directory); a robot outside it is copied to "
         "DIR/asset",
+    )
+    parser.add_argument(
+        "--servo",
+        metavar="NAME",
+        help="servo of all drives, from the library of identified servos (pytest-twin servo list): "
+        "its gains, limits and friction are written under fit:",
     )
     model_files.add_arguments(parser)
     xacro_files.add_arguments(parser)
@@ -217,6 +225,8 @@ def _set_up(
             reading=_reading(args),
             critical=seen["critical"],
             alike=seen["alike"],
+            servo=args.servo or "",
+            servo_fit=_servo_fit(args.servo, seen["drives"], args.robot),
         )
         twin_file = writing.write_twin_file(folder, first)
         writing.write_schemas(folder)
@@ -391,6 +401,25 @@ def _condense(notes: Iterable[str], folder: Path) -> list[str]:
         )
         for first, *more in kinds.values()
     ]
+
+
+def _servo_fit(
+    servo: str | None, drives: Mapping[str, str], robot: Path
+) -> dict[str, dict[str, Any]]:
+    """Values of a servo for all drives of a robot, as under ``fit:``; empty without a servo."""
+    if servo is None:
+        return {}
+    if not drives:
+        raise SpecError(
+            "no drive of a single joint to make a servo of", path=robot, where="--servo",
+            value=servo, expected="a robot with actuators, or none of --servo",
+        )  # fmt: skip
+    found = find(servo)
+    merged: dict[str, dict[str, Any]] = {}
+    for actuator, joint in drives.items():
+        for family, values in found.fit(actuator, joint).items():
+            merged.setdefault(family, {}).update(values)
+    return merged
 
 
 def _reading(args: argparse.Namespace) -> dict[str, Any]:

@@ -52,6 +52,13 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
             "name the physics that a model lacks, fit it, and measure the gain on held-"
             "out recordings"
         ),
+        "export": (
+            "write the findings of a diagnosis, or a twin, as another simulator takes them, with a "
+            "matrix of what is lost"
+        ),
+        "servo": (
+            "list and show identified servos, and add the drive of a diagnosed joint"
+        ),
         "effects": (
             "list the physical effects that a diagnosis can name, with laws, parameters and sources"
         ),

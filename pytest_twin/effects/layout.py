@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.segment import Segment
-from pytest_twin.realization.inputs import command_input
+from pytest_twin.realization.inputs import CommandInput, command_input, joint_inputs
+from pytest_twin.trial import CommandMode
 
 _MIN_AXIS_DISTANCE = 1e-4
 """Distance of a centre of mass from the joint's axis below which it counts as on the axis, m."""
@@ -68,6 +69,17 @@ class Layout:
         self._find_tool(model)
         self.gyration = np.sqrt(self.link_length**2 + own)
 
+    @classmethod
+    def of_model(cls, model: mujoco.MjModel, joints: Sequence[str]) -> Layout:
+        """The layout without recordings: a joint with one control input has its drive and mode."""
+        layout = cls(model, (), joints)
+        for j, joint in enumerate(joints):
+            inputs = joint_inputs(model, joint)
+            if len(inputs) == 1:
+                layout._set_drive(model, j, inputs[0].mode, inputs[0])
+        layout.driven = np.flatnonzero(layout.actuator >= 0)
+        return layout
+
     def _find_tool(self, model: mujoco.MjModel) -> None:
         """Set the reference length, mass and direction of a payload on the last link."""
         body = self.body_index[-1]
@@ -105,11 +117,16 @@ class Layout:
                 continue
             mode = modes.pop()
             target = command_input(model, joint, mode)
-            self.servo[j] = mode
-            if target is not None:
-                self.control[j], self.actuator[j] = target.control, target.actuator
-                self.scale[j] = target.scale
-                self.gear[j] = model.actuator_gear[model.actuator_outadr[target.actuator], 0]
+            self._set_drive(model, j, mode, target)
+
+    def _set_drive(
+        self, model: mujoco.MjModel, joint: int, mode: CommandMode, target: CommandInput | None
+    ) -> None:
+        self.servo[joint] = mode
+        if target is not None:
+            self.control[joint], self.actuator[joint] = target.control, target.actuator
+            self.scale[joint] = target.scale
+            self.gear[joint] = model.actuator_gear[model.actuator_outadr[target.actuator], 0]
 
     def _link_directions(self, model: mujoco.MjModel) -> FloatArray:
         """(joints, 3) directions to the centres of mass; sets :attr:`link_length`."""

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.fast_clip import fast_clip
 
-_TOOTH_DAMPING = 0.6
+TOOTH_DAMPING = 0.6
 """Damping of the teeth divided by the square root of stiffness times inertia; little ringing."""
 _MAX_SPEED_LOSS = 0.5
 """Largest share of its speed against the motor that a link may lose in a step, for stability."""
-_MAX_STIFFNESS = 0.5
+MAX_STIFFNESS = 0.5
 """Largest stiffness that a step resolves, in units of inertia divided by the step squared."""
 
 
@@ -66,11 +66,11 @@ class Gear:
         )
         stiffness = np.minimum(
             1.0 / np.maximum(compliance + series_compliance, 1e-12),
-            _MAX_STIFFNESS * inertia / timestep**2,
+            MAX_STIFFNESS * inertia / timestep**2,
         )
         if damping_time is None:
             damping = np.where(
-                self.damping > 0.0, self.damping, _TOOTH_DAMPING * np.sqrt(stiffness * inertia)
+                self.damping > 0.0, self.damping, TOOTH_DAMPING * np.sqrt(stiffness * inertia)
             )
         else:
             damping = damping_time * stiffness

@@ -114,6 +114,26 @@ def withdraw(folder: Path, main: str) -> None:
             raise cannot_write(error, folder) from None
 
 
+def check_unchanged(folder: Path, main: str) -> None:
+    """Check that the files of a result are as pytest-twin wrote them.
+
+    Args:
+        folder: folder of the result; one without a manifest is not checked.
+        main: name of its main file.
+
+    Raises:
+        PathError: one of its files was edited.
+    """
+    finish(folder)
+    for name, known in _read(folder).items():
+        if known.result == main and file_set.digest_of(folder / name) != known.sha256:
+            raise PathError(
+                "changed since pytest-twin wrote it",
+                path=folder / name,
+                expected=f"the file as it was, or the command that wrote {main} again",
+            )
+
+
 def _put_in_place(
     folder: Path, staging: Path, main: str, replaceable: Collection[str], stays: str | None
 ) -> None:

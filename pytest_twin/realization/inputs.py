@@ -96,7 +96,7 @@ def steady_activation(
         data: contains positions, transmission lengths and controls.
     """
     address = int(model.actuator_actadr[actuator])
-    if address < 0:
+    if address < 0 or not model.actuator_ctrlnum[actuator]:
         return None
     control = float(data.ctrl[model.actuator_ctrladr[actuator]])
     dynamics = int(model.actuator_dyntype[actuator])

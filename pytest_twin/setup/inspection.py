@@ -58,6 +58,11 @@ def inspect_model(model: str) -> dict[str, Any]:
         "tcp": _last_frame(realization),
         "motors": _motors(realization),
         "alike": _joints_alike(realization),
+        "drives": {
+            actuator: joints[0]
+            for actuator, joints in realization.structure.actuator_joints.items()
+            if len(joints) == 1
+        },
     }
 
 

@@ -7,7 +7,7 @@ import os
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -95,6 +95,8 @@ class FirstTwin:
         reading: options of recordings, such as ``topics``, ``joints`` and ``clock``.
         critical: ids of the critical findings of the audit.
         alike: groups of joints that may have the same motor.
+        servo: id of the servo of all drives, or empty.
+        servo_fit: values of its drives, as under ``fit:``.
     """
 
     name: str
@@ -107,6 +109,8 @@ class FirstTwin:
     reading: Mapping[str, Any]
     critical: Sequence[str] = ()
     alike: Sequence[Sequence[str]] = ()
+    servo: str = ""
+    servo_fit: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def write_twin_file(folder: Path, first: FirstTwin) -> Path:
@@ -136,10 +140,18 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
                 for link, values in inertia_repairs.items()
             },
         }
+    if first.servo:
+        repaired = content.get("fit", {}).get("body")
+        content["fit"] = {
+            "id": f"servo-{first.servo}",
+            **({"body": repaired} if repaired else {}),
+            **{family: dict(values) for family, values in first.servo_fit.items()},
+        }
     content["release"] = {"valid_days": 90}
     head = modeline(f"{_SCHEMAS}/twin.schema.json")
     path = folder / FILE_NAME
-    servos = _servo_lines(motors, with_fit=bool(inertia_repairs)) if motors else ""
+    is_open = bool(motors) and not first.servo
+    servos = _servo_lines(motors, with_fit=bool(inertia_repairs)) if is_open else ""
     atomic.write_text(
         path,
         f"{head}\n{_dump(content)}{servos}{_motor_types(first.alike)}{_acceptance(first.critical)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -12,7 +12,6 @@ import numpy as np
 
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.patched.native_contact import write_contact
-from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import (
     actuation,
     contact,
@@ -23,12 +22,14 @@ from pytest_twin.effects import (
     transmission,
 )
 from pytest_twin.effects.base import ModelFields
+from pytest_twin.effects.contact_geoms import ContactGeoms
+from pytest_twin.effects.layout import Layout
 from pytest_twin.errors import SpecError, TwinError
 from pytest_twin.estimation.hypothesis import Term
-from pytest_twin.realization import Realization, mjcf_file, patch
+from pytest_twin.realization import mjcf_file, patch
 from pytest_twin.realization.inertia import compiled_inertia, six_components
 from pytest_twin.realization.mjcf import compile_spec
-from pytest_twin.twin import Payload
+from pytest_twin.twin import Payload, Twin
 
 # A delay line holds this many steps beyond the delay itself.
 _SPARE_SAMPLES = 3
@@ -37,19 +38,38 @@ _SPARE_SAMPLES = 3
 class NativeWriter:
     """Writes effects into a spec, one after another, where MuJoCo has their equation."""
 
-    def __init__(self, spec: mujoco.MjSpec, realization: Realization, problem: Problem) -> None:
-        self.spec, self.problem = spec, problem
-        self.simulator = problem.simulator
-        twin = realization.twin
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        joints: Sequence[str],
+        layout: Layout,
+        contact: Callable[[], ContactGeoms],
+        twin: Twin | None = None,
+    ) -> None:
+        """Write into ``spec``.
+
+        Args:
+            spec: changed in place.
+            joints: names of the joints, in the order of the columns of parameters.
+            layout: indices of these joints and of their drives.
+            contact: returns the geoms that contact effects act on.
+            twin: twin whose controllers and payloads are applied to the written model later.
+        """
+        self.spec, self.joints, self.layout, self._contact = spec, tuple(joints), layout, contact
         # Controllers overwrite gains and payloads add masses for each trial. Relative changes of
         # these have to be applied afterwards, so they stay out of the MJCF.
         self.fixed_gains = twin is None or not twin.controllers
         self.fixed_masses = twin is None or not twin.payloads
         self.model = compile_spec(spec)[0]
 
+    @property
+    def contact(self) -> ContactGeoms:
+        """Geoms that contact effects act on."""
+        return self._contact()
+
     def write(self, term: Term, values: Mapping[str, float]) -> list[AppliedEffect]:
         """Write an effect into the MJCF; a second entry holds what MJCF cannot express."""
-        joint = None if term.joint < 0 else self.problem.joints[term.joint]
+        joint = None if term.joint < 0 else self.joints[term.joint]
         outside_mjcf = AppliedEffect(term.effect, joint, dict(values), is_in_mjcf=False)
         write = _NATIVE.get(term.effect)
         if write is None:
@@ -74,12 +94,11 @@ class NativeWriter:
             out.append(AppliedEffect(term.effect, joint, {**neutral, **rest}, is_in_mjcf=False))
         return out
 
-    def write_friction_constraint(self) -> None:
-        """Write the friction constraint with which the findings were simulated."""
+    def write_friction_constraint(self, stepped: mujoco.MjModel) -> None:
+        """Write the friction constraint of the model with which the findings were simulated."""
         by_name = {j.name: j for j in self.spec.joints}
-        stepped = self.simulator.models.bounded_model(0)
-        dofs = self.simulator.layout.dof_index
-        for name, dof in zip(self.problem.joints, dofs, strict=True):
+        dofs = self.layout.dof_index
+        for name, dof in zip(self.joints, dofs, strict=True):
             joint = by_name[name]
             joint.solref_friction[:] = stepped.dof_solref[dof]
             joint.solimp_friction[:] = stepped.dof_solimp[dof]
@@ -102,21 +121,21 @@ class NativeWriter:
     def joint_index(self, joint: int) -> tuple[str, int, int]:
         """Name, joint id and dof of a column."""
         return (
-            self.problem.joints[joint],
-            int(self.simulator.layout.joint_ids[joint]),
-            int(self.simulator.layout.dof_index[joint]),
+            self.joints[joint],
+            int(self.layout.joint_ids[joint]),
+            int(self.layout.dof_index[joint]),
         )
 
     def actuator_name(self, joint: int) -> str | None:
         """Name of the drive of a column, None without one."""
-        at = int(self.simulator.layout.actuator[joint])
+        at = int(self.layout.actuator[joint])
         if at < 0:
             return None
         return mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, at) or None
 
     def body_name(self, joint: int) -> str:
         """Name of the body that a column moves."""
-        at = int(self.simulator.layout.body_index[joint])
+        at = int(self.layout.body_index[joint])
         return str(mujoco.mj_id2name(self.model, mujoco.mjtObj.mjOBJ_BODY, at))
 
 
@@ -180,7 +199,7 @@ def _write_armature(w: NativeWriter, joint: int, values: dict[str, float]) -> Wr
 
 def _write_spring(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     name, index, _ = w.joint_index(joint)
-    address = int(w.simulator.layout.qpos_index[joint])
+    address = int(w.layout.qpos_index[joint])
     total = float(w.model.jnt_stiffness[index]) + values["stiffness"]
     if total <= 0.0:
         return None
@@ -193,10 +212,10 @@ def _write_gains(w: NativeWriter, joint: int, values: dict[str, float]) -> Writt
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains:
         return None
-    at = int(w.simulator.layout.actuator[joint])
+    at = int(w.layout.actuator[joint])
     stiffness, damping = 1.0 + values["stiffness_error"], 1.0 + values["damping_error"]
     gain, bias = w.model.actuator_gainprm[at].copy(), w.model.actuator_biasprm[at].copy()
-    gain[0] *= damping if w.simulator.layout.servo[joint] == "velocity" else stiffness
+    gain[0] *= damping if w.layout.servo[joint] == "velocity" else stiffness
     bias[1] *= stiffness
     bias[2] *= damping
     w.fit("actuator", name, {"gainprm": gain.tolist(), "biasprm": bias.tolist()})
@@ -207,7 +226,7 @@ def _write_torque_constant(w: NativeWriter, joint: int, values: dict[str, float]
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains:
         return None
-    at, factor = int(w.simulator.layout.actuator[joint]), 1.0 + values["relative_error"]
+    at, factor = int(w.layout.actuator[joint]), 1.0 + values["relative_error"]
     if factor <= 0.0:
         return None
     changed: dict[str, Any] = {
@@ -224,8 +243,8 @@ def _write_saturation(w: NativeWriter, joint: int, values: dict[str, float]) -> 
     name = w.actuator_name(joint)
     if name is None or not w.fixed_gains or values["inverse_limit"] <= 0.0:
         return None
-    at = int(w.simulator.layout.actuator[joint])
-    limit = 1.0 / values["inverse_limit"] / abs(float(w.simulator.layout.gear[joint]))
+    at = int(w.layout.actuator[joint])
+    limit = 1.0 / values["inverse_limit"] / abs(float(w.layout.gear[joint]))
     ends = np.array([-limit, limit])
     if w.model.actuator_forcelimited[at]:
         ends = np.clip(w.model.actuator_forcerange[at], -limit, limit)
@@ -262,7 +281,7 @@ def _write_lag(w: NativeWriter, joint: int, values: dict[str, float]) -> Written
 def _write_inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     if not w.fixed_masses:
         return None
-    layout, body = w.simulator.layout, w.body_name(joint)
+    layout, body = w.layout, w.body_name(joint)
     index = int(layout.body_index[joint])
     fields = ModelFields.neutral(np.zeros((1, 3)), 1)
     link = rigid_body.InertialParameters()
@@ -284,12 +303,12 @@ def _write_inertial(w: NativeWriter, joint: int, values: dict[str, float]) -> Wr
 
 def _write_payload(w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
-    last = len(w.problem.joints) - 1
+    last = len(w.joints) - 1
     body = w.body_name(last)
-    model, at = w.model, int(w.simulator.layout.joint_ids[last])
+    model, at = w.model, int(w.layout.joint_ids[last])
     place = np.array([[values.get(k, 0.0) for k in ("distance", "sideways", "across")]])
-    center = model.jnt_pos[at] + w.simulator.layout.to_link_frame(place, np.array([last]))[0]
-    index = int(w.simulator.layout.body_index[last])
+    center = model.jnt_pos[at] + w.layout.to_link_frame(place, np.array([last]))[0]
+    index = int(w.layout.body_index[last])
     if not w.fixed_masses or float(model.body_mass[index]) + values["mass"] <= 1e-6:
         return None
     x, y, z = (float(c) for c in center)
@@ -308,7 +327,7 @@ def _write_tilt(w: NativeWriter, joint: int, values: dict[str, float]) -> Writte
 
 def _write_contact(effect: str, w: NativeWriter, joint: int, values: dict[str, float]) -> Written:
     del joint
-    text = write_contact(w.spec, w.simulator.models.contact, effect, values)
+    text = write_contact(w.spec, w.contact, effect, values)
     return None if text is None else (text, {})
 
 

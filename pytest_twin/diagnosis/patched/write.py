@@ -64,7 +64,10 @@ def write_realization(
         PathError: the folder cannot be written.
     """
     spec = realization.spec.copy()
-    writer = NativeWriter(spec, realization, problem)
+    models = problem.simulator.models
+    writer = NativeWriter(
+        spec, problem.joints, problem.simulator.layout, lambda: models.contact, realization.twin
+    )
     effects = list(inherited.effects) if inherited is not None else []
     for term in hypothesis.terms:
         theta = hypothesis.theta[hypothesis.slice_of(term)]
@@ -81,7 +84,7 @@ def write_realization(
         problem.simulator.segments[0].has_friction_creep,
         recorded.substeps,
     )
-    writer.write_friction_constraint()
+    writer.write_friction_constraint(models.bounded_model(0))
     text = writer.text()
     if realization.source.kind == "mjcf":
         for name, path in realization.source.assets.items():

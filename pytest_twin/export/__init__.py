@@ -1,0 +1,1 @@
+"""Findings written as other simulators take them, with what each of them loses."""

@@ -1,0 +1,112 @@
+"""Actuators written as a Python module for a simulator that takes configurations of actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+
+from pytest_twin.diagnosis.patched.model import MODEL_FILE
+from pytest_twin.effects import catalogue
+from pytest_twin.export.drive_table import (
+    DriveRow,
+    DriveTable,
+    drive_table,
+    expressions,
+    rounding_note,
+)
+from pytest_twin.export.mujoco_target import copy_assets, effect_row
+from pytest_twin.export.source import ExportSource
+from pytest_twin.export.target import Exported
+from pytest_twin.formats import atomic
+from pytest_twin.realization import mjcf_file
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigTarget:
+    """A simulator whose actuators are configurations.
+
+    Attributes:
+        file: name of the Python module.
+        engine: package and version whose fields are written.
+        call: one drive -> the expression that makes its configuration, with ``steps(delay)`` for a
+            delay in time steps.
+        module: text of the module, with ``{calls}`` and ``{timestep}``.
+        written: part of a drive -> field that holds it.
+        approximated: part of a drive -> what is missing.
+        modes: command modes that the configurations take.
+        has_actuators: whether the robot's file keeps its actuators.
+    """
+
+    file: str
+    engine: str
+    call: Callable[[DriveRow], str]
+    module: str
+    written: Mapping[str, str]
+    approximated: Mapping[str, str]
+    modes: tuple[str, ...]
+    has_actuators: bool
+
+
+def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> Exported:
+    """Write the module and the robot's file into an empty folder.
+
+    Raises:
+        TwinError: the model has a contact effect, or files that cannot be written.
+    """
+    realization = source.loaded.realization
+    table = drive_table(realization, source.patched)
+    rows = [row for row in table.rows if row.mode in target.modes]
+    calls = "".join(f"        {target.call(row)},\n" for row in rows)
+    text = target.module.format(calls=calls, timestep=repr(table.timestep))
+    compile(text, target.file, "exec")
+    atomic.write_text(folder / target.file, text)
+    spec = realization.spec.copy()
+    if not target.has_actuators:
+        for actuator in list(spec.actuators):
+            spec.delete(actuator)
+    model = spec.compile()
+    atomic.write_text(folder / MODEL_FILE, mjcf_file.with_exact_inertia(spec, model))
+    copy_assets(realization, folder)
+    mujoco.MjModel.from_xml_path(str(folder / MODEL_FILE))
+    approximated = dict(target.approximated)
+    rounded = rounding_note(rows, table.timestep)
+    if rounded:
+        approximated["delay"] = rounded
+    families = {name: law.family for name, law in catalogue().items()}
+    found = expressions(source.patched, target.written, approximated, families)
+    comparison = f"not stepped here: fields of {target.engine}"
+    return Exported(
+        (target.file, MODEL_FILE),
+        target.engine,
+        "schema",
+        tuple(effect_row(e, source.patched, comparison, None) for e in found),
+        {},
+        tuple(_notes(target, table)),
+    )
+
+
+def _notes(target: ConfigTarget, table: DriveTable) -> list[str]:
+    skipped = [
+        f"{row.joint}: {row.mode} commands have no configuration here"
+        for row in table.rows
+        if row.mode not in target.modes
+    ]
+    omitted = [f"{joint}: {why}" for joint, why in table.omitted.items()]
+    return [
+        *skipped,
+        *omitted,
+        "the loss of the simulator's own integration is not measured",
+    ]
+
+
+def arguments(**values: object) -> str:
+    """Keyword arguments as Python text; those that are None are left out."""
+    return ", ".join(f"{name}={value}" for name, value in values.items() if value is not None)
+
+
+def number(value: float | None) -> str | None:
+    """A number as Python text, None for None."""
+    return None if value is None else repr(float(f"{value:.9g}"))

@@ -1,0 +1,88 @@
+"""Integration of an exported model: integrator and time step, and what depends on them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+from scipy.optimize import brentq
+
+_RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+_SPARE_SAMPLES = 3
+"""Samples of a delay line beyond the delay itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Integration:
+    """How the exported model is stepped.
+
+    Attributes:
+        integrator: one of MuJoCo's.
+        divisor: number of steps in one step of the diagnosed model.
+    """
+
+    integrator: int
+    divisor: int = 1
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        """Set the options of a spec, and adapt delays and filters to them."""
+        spec.option.integrator = self.integrator
+        spec.option.timestep = step = spec.option.timestep / self.divisor
+        for actuator in spec.actuators:
+            if self.integrator == _RK4:
+                _adapt_to_fourth_order(actuator, step)
+            if actuator.delay > 0.0:
+                actuator.nsample = math.ceil(actuator.delay / step) + _SPARE_SAMPLES
+        for sensor in spec.sensors:
+            if getattr(sensor, "delay", 0.0) > 0.0:
+                sensor.nsample = math.ceil(sensor.delay / step) + _SPARE_SAMPLES
+
+    @property
+    def words(self) -> str:
+        """The integrator, and the divisor where it is not 1."""
+        name = mujoco.mjtIntegrator(self.integrator).name.removeprefix("mjINT_")
+        return name if self.divisor == 1 else f"{name}, time step / {self.divisor}"
+
+
+def integrations(model: mujoco.MjModel) -> tuple[Integration, ...]:
+    """Candidates in the order of their cost: the model's own, fourth order, smaller steps."""
+    own, fourth = int(model.opt.integrator), int(mujoco.mjtIntegrator.mjINT_RK4)
+    if own == fourth:
+        return (Integration(own), Integration(own, 2), Integration(own, 4))
+    return (
+        Integration(own), Integration(fourth), Integration(own, 4), Integration(fourth, 2),
+        Integration(own, 8),
+    )  # fmt: skip
+
+
+def _adapt_to_fourth_order(actuator: mujoco.MjsActuator, step: float) -> None:
+    """Correct what MuJoCo's RK4 integrates differently.
+
+    - A delay line with linear interpolation reads a command that is held over a step half a step
+      early, because stages within the step read it too.
+    - The exact integration of a filter is applied to the mean slope of the stages, which has the
+      decay within the step already.
+    - A ``dcmotor`` uses the current at the end of the step, in every stage.
+    """
+    if actuator.delay > 0.0 and actuator.interp == 1:
+        actuator.delay += step / 2.0
+    dynamics, time_constant = mujoco.mjtDyn, float(actuator.dynprm[0])
+    if actuator.dyntype == dynamics.mjDYN_FILTEREXACT and time_constant > step:
+        actuator.dyntype = dynamics.mjDYN_FILTER
+    elif actuator.dyntype == dynamics.mjDYN_DCMOTOR and time_constant > 0.0:
+        actuator.dynprm[0] = _time_constant_in_rk4(time_constant, step)
+        actuator.actearly = False
+
+
+def _time_constant_in_rk4(time_constant: float, step: float) -> float:
+    """Time constant whose decay over a step of MuJoCo's RK4 is that of the given one, s.
+
+    With ``x = step / time constant`` MuJoCo's decay is ``(1 - exp(-x))^2 / x``.
+    """
+    decay = -math.expm1(-step / time_constant)
+    # The decay of RK4 has its maximum, 0.407, near x = 1.26.
+    if decay >= 0.4:
+        return time_constant
+    x = brentq(lambda x: math.expm1(-x) ** 2 / x - decay, 1e-12, 1.25)
+    return step / float(x)

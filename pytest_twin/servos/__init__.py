@@ -1,0 +1,1 @@
+"""A library of identified servos: laws, parameters, intervals, conditions and evidence."""
