@@ -8,6 +8,7 @@ The site's build calls :func:`write`, so that a page never differs from the code
 from __future__ import annotations
 
 import contextlib
+import functools
 import inspect
 import io
 import json
@@ -20,6 +21,7 @@ from typing import Any
 from pytest_twin import cli, errors
 from pytest_twin.audit.finding import catalogue
 from pytest_twin.checks import check_of, kinds
+from pytest_twin.servos import library
 from pytest_twin.session import options
 
 SCHEMAS = {
@@ -53,6 +55,7 @@ RESULTS = {
     "intake": "the asset's `manifest.json` after `intake`, and `intake --json -`",
     "effects": "`effects --json -`",
     "export": "`export.json` and `export --json -`",
+    "servo": "`servo --json -`",
 }
 
 
@@ -225,6 +228,10 @@ PAGES = {
     "files.md": files,
     "errors.md": error_types,
     "findings.md": findings,
+    **{
+        f"servo_{servo.id}.md": functools.partial(library.page, servo)
+        for servo in library.package_servos().values()
+    },
 }
 
 

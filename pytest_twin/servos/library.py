@@ -103,14 +103,23 @@ def servos() -> dict[str, Servo]:
     Raises:
         FormatError: an entry has wrong fields.
     """
+    path = user_library()
+    return package_servos() | (read_library(path) if path.is_file() else {})
+
+
+def package_servos() -> dict[str, Servo]:
+    """Servos of the package by id.
+
+    Raises:
+        FormatError: an entry has wrong fields.
+    """
     found = {}
     folder = resources.files("pytest_twin.servos").joinpath("entries")
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
         path = Path(entry.name)
         servo = _servo(yaml.loads(entry.read_text("utf-8"), path).data, path)
         found[servo.id] = servo
-    path = user_library()
-    return found | (read_library(path) if path.is_file() else {})
+    return found
 
 
 def read_library(path: Path) -> dict[str, Servo]:

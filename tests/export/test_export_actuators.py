@@ -1,0 +1,146 @@
+"""``pytest-twin export`` for simulators that take configurations of actuators."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from exported import Effect, Robot, diagnosis_in, robot_in
+
+from pytest_twin.cli import main
+
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+MJLAB = "TWIN_MJLAB_PYTHON"
+"""Environment variable with the Python of an environment that has mjlab."""
+EFFECTS: list[Effect] = [
+    ("coulomb_friction", 1, {"coulomb": 0.1}),
+    ("viscous_friction", 0, {"coefficient": 0.1}),
+    ("armature", 1, {"inertia": 0.004}),
+    ("controller_gain", 1, {"stiffness_error": 0.3, "damping_error": -0.2}),
+    ("torque_saturation", 0, {"inverse_limit": 1.0}),
+]
+# Fields of isaaclab.actuators in versions 2.3 and 3.0.
+BASE = {
+    "joint_names_expr", "effort_limit", "velocity_limit", "effort_limit_sim", "velocity_limit_sim",
+    "stiffness", "damping", "armature", "friction", "dynamic_friction", "viscous_friction",
+}  # fmt: skip
+ISAACLAB = {
+    "IdealPDActuatorCfg": BASE,
+    "DelayedPDActuatorCfg": BASE | {"min_delay", "max_delay"},
+    "DCMotorCfg": BASE | {"saturation_effort"},
+}
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return robot_in(tmp_path_factory.mktemp("robot"))
+
+
+def exported(
+    robot: Robot, folder: Path, target: str, effects: list[Effect]
+) -> tuple[Path, dict[str, Any]]:
+    out = folder / "out"
+    diagnosis = diagnosis_in(folder, robot, effects)
+    assert main(["export", str(diagnosis), "--to", target, "--out", str(out)]) == 0
+    return out, json.loads((out / "export.json").read_text())
+
+
+def actuators(path: Path, monkeypatch: pytest.MonkeyPatch, step: float) -> dict[str, Any]:
+    """The configurations of a written module, with classes that only know their fields."""
+
+    def recorded(name: str, fields: set[str]) -> Any:
+        def make(**given: Any) -> dict[str, Any]:
+            assert set(given) <= fields, set(given) - fields
+            return {"class": name, **given}
+
+        return make
+
+    package = types.ModuleType("isaaclab.actuators")
+    for name, fields in ISAACLAB.items():
+        setattr(package, name, recorded(name, fields))
+    monkeypatch.setitem(sys.modules, "isaaclab", types.ModuleType("isaaclab"))
+    monkeypatch.setitem(sys.modules, "isaaclab.actuators", package)
+    spec = importlib.util.spec_from_file_location("written", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found: dict[str, Any] = module.actuators(step)
+    return found
+
+
+def test_isaac_lab_gets_gains_limits_friction_and_armature(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, document = exported(robot, tmp_path, "isaaclab", EFFECTS)
+    written = actuators(out / "isaaclab_actuators.py", monkeypatch, 0.002)
+    assert document["checked"] == "schema"
+    assert {row["verdict"] for row in document["rows"]} == {"kept"}
+    left, right = written["left"], written["right"]
+    assert left["effort_limit"] == pytest.approx(1.0)
+    assert left["viscous_friction"] == pytest.approx(0.15)
+    assert right["stiffness"] == pytest.approx(6.0 * 1.3)
+    assert right["damping"] == pytest.approx(0.15 * 0.8)
+    assert right["armature"] == pytest.approx(0.007)
+    assert right["dynamic_friction"] == pytest.approx(0.1)
+    assert right["friction"] == pytest.approx(0.1)
+
+
+def test_a_delay_is_whole_steps_of_the_time_step_that_is_used(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    effects: list[Effect] = [("command_delay", 1, {"delay": 0.0213})]
+    out, document = exported(robot, tmp_path, "isaaclab", effects)
+    for step, steps in ((0.002, 11), (0.005, 4)):
+        delayed = actuators(out / "isaaclab_actuators.py", monkeypatch, step)["right"]
+        assert delayed["class"] == "DelayedPDActuatorCfg"
+        assert (delayed["min_delay"], delayed["max_delay"]) == (steps, steps)
+    (row,) = document["rows"]
+    assert row["verdict"] == "changed"
+    assert "rounded to whole time steps, by up to 0.7 ms" in row["after"]
+
+
+def test_what_an_actuator_cannot_hold_is_lost(robot: Robot, tmp_path: Path) -> None:
+    effects: list[Effect] = [
+        ("backlash", 0, {"gap": 0.05, "tooth_compliance": 0.01}),
+        ("dead_zone", 1, {"width": 0.03, "of_effort": 0.0}),
+    ]
+    _, document = exported(robot, tmp_path, "isaaclab", effects)
+    assert [row["verdict"] for row in document["rows"]] == ["lost", "lost"]
+
+
+@pytest.mark.skipif(MJLAB not in os.environ, reason=f"{MJLAB} names no environment with mjlab")
+def test_mjlab_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> None:
+    out, document = exported(robot, tmp_path, "mjlab", EFFECTS)
+    assert {row["verdict"] for row in document["rows"]} == {"kept"}
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "diagnosis" / "realization" / "model.xml"))
+    data = mujoco.MjData(model)
+    time = np.arange(500) * model.opt.timestep
+    values = 0.4 * np.sin(6.0 * time[:, None] * [1.0, 1.3])
+    expected = []
+    for row in values:
+        data.ctrl[:] = row
+        mujoco.mj_step(model, data)
+        expected.append(data.qpos.copy())
+    commands = tmp_path / "commands.json"
+    names = ["left", "right"]
+    commands.write_text(
+        json.dumps({"actuators": names, "joints": names, "values": values.tolist()})
+    )
+    script = Path(__file__).with_name("foreign") / "step_mjlab.py"
+    run = subprocess.run(
+        [os.environ[MJLAB], str(script), str(out), str(commands)],
+        capture_output=True, text=True, timeout=240, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr[-2000:]
+    positions = json.loads(run.stdout.splitlines()[-1])["positions"]
+    assert np.abs(np.array(positions) - np.array(expected)).max() < 1e-4
