@@ -1,8 +1,8 @@
-"""Actuators written as a Python module for a simulator that takes configurations of actuators."""
+"""Drives written as the configurations of actuators that a simulator takes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,11 +29,9 @@ class ConfigTarget:
     """A simulator whose actuators are configurations.
 
     Attributes:
-        file: name of the Python module.
+        file: name of the file with the drives.
         engine: package and version whose fields are written.
-        call: one drive -> the expression that makes its configuration, with ``steps(delay)`` for a
-            delay in time steps.
-        module: text of the module, with ``{calls}`` and ``{timestep}``.
+        render: drives and time step of the model in s -> text of the file.
         written: part of a drive -> field that holds it.
         approximated: part of a drive -> what is missing.
         modes: command modes that the configurations take.
@@ -42,8 +40,7 @@ class ConfigTarget:
 
     file: str
     engine: str
-    call: Callable[[DriveRow], str]
-    module: str
+    render: Callable[[Sequence[DriveRow], float], str]
     written: Mapping[str, str]
     approximated: Mapping[str, str]
     modes: tuple[str, ...]
@@ -51,7 +48,7 @@ class ConfigTarget:
 
 
 def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> Exported:
-    """Write the module and the robot's file into an empty folder.
+    """Write the drives and the robot's file into an empty folder.
 
     Raises:
         TwinError: the model has a contact effect, or files that cannot be written.
@@ -59,10 +56,7 @@ def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> E
     realization = source.loaded.realization
     table = drive_table(realization, source.patched)
     rows = [row for row in table.rows if row.mode in target.modes]
-    calls = "".join(f"        {target.call(row)},\n" for row in rows)
-    text = target.module.format(calls=calls, timestep=repr(table.timestep))
-    compile(text, target.file, "exec")
-    atomic.write_text(folder / target.file, text)
+    atomic.write_text(folder / target.file, target.render(rows, table.timestep))
     spec = realization.spec.copy()
     if not target.has_actuators:
         for actuator in list(spec.actuators):
@@ -110,3 +104,20 @@ def arguments(**values: object) -> str:
 def number(value: float | None) -> str | None:
     """A number as Python text, None for None."""
     return None if value is None else repr(float(f"{value:.9g}"))
+
+
+def python_module(
+    template: str, rows: Sequence[DriveRow], timestep: float, call: Callable[[DriveRow], str]
+) -> str:
+    """Text of a Python module with one call for each drive.
+
+    Args:
+        template: the module, with ``{calls}`` and ``{timestep}``.
+        rows: the drives.
+        timestep: s.
+        call: one drive -> Python text, with ``steps(delay)`` for a delay in time steps.
+    """
+    calls = "".join(f"        {call(row)},\n" for row in rows)
+    text = template.format(calls=calls, timestep=repr(timestep))
+    compile(text, "actuators", "exec")
+    return text

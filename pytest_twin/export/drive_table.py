@@ -26,6 +26,7 @@ class DriveRow:
 
     Attributes:
         joint: its joint.
+        is_slide: whether the joint slides; units are then m and N.
         mode: quantity of its command: ``position``, ``velocity`` or ``effort``.
         stiffness, damping: gains of the servo; 0 for an effort drive.
         effort_limit: largest effort, None for no limit.
@@ -39,6 +40,7 @@ class DriveRow:
     """
 
     joint: str
+    is_slide: bool
     mode: str
     stiffness: float
     damping: float
@@ -120,7 +122,7 @@ def _row(exporter: MjcfExporter, patched: PatchedModel, column: int, joint: str)
     )
     dry = float(model.dof_frictionloss[dof])
     return DriveRow(
-        joint, mode, stiffness, damping, limit,
+        joint, bool(layout.slides[column]), mode, stiffness, damping, limit,
         float(model.dof_armature[dof]), dry, float(model.dof_damping[dof]), dry + extra,
         float(model.actuator_delay[at]),
         0.0 if law is None else law.stall * abs(gear),

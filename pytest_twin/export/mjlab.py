@@ -5,7 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from pytest_twin.export.config_target import ConfigTarget, arguments, export_config, number
+from pytest_twin.export.config_target import (
+    ConfigTarget,
+    arguments,
+    export_config,
+    number,
+    python_module,
+)
 from pytest_twin.export.drive_table import DriveRow
 from pytest_twin.export.source import ExportSource
 from pytest_twin.export.target import Exported
@@ -78,8 +84,7 @@ def _call(row: DriveRow) -> str:
 TARGET = ConfigTarget(
     file="mjlab_actuators.py",
     engine="mjlab 1.6",
-    call=_call,
-    module=_MODULE,
+    render=lambda rows, timestep: python_module(_MODULE, rows, timestep, _call),
     written={
         "gains": "stiffness, damping",
         "effort_limit": "effort_limit",

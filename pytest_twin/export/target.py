@@ -40,6 +40,7 @@ class Exported:
 
 TARGETS: Mapping[str, str] = {
     "mujoco": "pytest_twin.export.mujoco_target",
+    "newton": "pytest_twin.export.newton",
     "mjlab": "pytest_twin.export.mjlab",
     "isaaclab": "pytest_twin.export.isaaclab",
 }

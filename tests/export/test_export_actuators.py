@@ -21,6 +21,8 @@ from pytest_twin.cli import main
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 MJLAB = "TWIN_MJLAB_PYTHON"
 """Environment variable with the Python of an environment that has mjlab."""
+NEWTON = "TWIN_NEWTON_PYTHON"
+"""The same for Newton with newton-usd-schemas and usd-core."""
 EFFECTS: list[Effect] = [
     ("coulomb_friction", 1, {"coulomb": 0.1}),
     ("viscous_friction", 0, {"coefficient": 0.1}),
@@ -144,3 +146,33 @@ def test_mjlab_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> Non
     assert run.returncode == 0, run.stderr[-2000:]
     positions = json.loads(run.stdout.splitlines()[-1])["positions"]
     assert np.abs(np.array(positions) - np.array(expected)).max() < 1e-4
+
+
+def test_newton_gets_a_layer_with_actuators_and_passive_forces(
+    robot: Robot, tmp_path: Path
+) -> None:
+    effects: list[Effect] = [*EFFECTS, ("command_delay", 1, {"delay": 0.0213})]
+    out, document = exported(robot, tmp_path, "newton", effects)
+    layer = (out / "newton_actuators.usda").read_text()
+    assert "float newton:maxEffort = 1.0" in layer
+    assert "int newton:delaySteps = 11" in layer
+    # Angular damping of joints is in N*m*s/deg.
+    assert f"float newton:damping = {float(f'{np.radians(0.15):.9g}')}" in layer
+    assert document["checked"] == "schema"
+
+
+@pytest.mark.skipif(NEWTON not in os.environ, reason=f"{NEWTON} names no environment with newton")
+def test_newton_reads_the_layer(robot: Robot, tmp_path: Path) -> None:
+    effects: list[Effect] = [*EFFECTS, ("command_delay", 1, {"delay": 0.0213})]
+    out, _ = exported(robot, tmp_path, "newton", effects)
+    script = Path(__file__).with_name("foreign") / "load_newton.py"
+    run = subprocess.run(
+        [os.environ[NEWTON], str(script), str(out / "newton_actuators.usda"), "left", "right"],
+        capture_output=True, text=True, timeout=240, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr[-2000:]
+    found = json.loads(run.stdout.splitlines()[-1])
+    assert found["right"]["drive"]["kp"] == pytest.approx(7.8)
+    assert found["right"]["friction"] == pytest.approx(0.1)
+    assert {item["class"] for item in found["right"]["others"]} == {"ClampingMaxEffort", "Delay"}
+    assert found["left"]["target"] == "/ROBOT/Physics/left"
