@@ -84,11 +84,18 @@ class MjcfExporter:
         spec: the patched model of one controller and payload; changed.
         joints: names of the joints, in the order of the effects' columns.
         contact: returns the geoms that contact effects act on.
+        for_mjx: whether the spec is for MJX, which has no ``pid``, no ``dcmotor`` and no delays.
     """
 
     def __init__(
-        self, spec: mujoco.MjSpec, joints: Sequence[str], contact: Callable[[], ContactGeoms]
+        self,
+        spec: mujoco.MjSpec,
+        joints: Sequence[str],
+        contact: Callable[[], ContactGeoms],
+        *,
+        for_mjx: bool = False,
     ) -> None:
+        self.for_mjx = for_mjx
         model = spec.compile()
         self.layout = Layout.of_model(model, joints)
         self.native = NativeWriter(spec, joints, self.layout, contact)
@@ -113,12 +120,23 @@ class MjcfExporter:
 
     def add(self, effect: AppliedEffect) -> None:
         """Write one effect, or the part of it that the spec does not hold yet."""
+        if self.for_mjx and effect.effect in _NOT_IN_MJX:
+            self._note(effect, self._without_mjx(effect))
+            return
         if effect.is_in_mjcf:
             self._note(effect, Form(effect.written or "already in the model"))
             return
         column = -1 if effect.joint is None else self.native.joints.index(effect.joint)
         for part in self.native.write(Term(effect.effect, column), effect.values):
             self._note(part, Form(part.written) if part.is_in_mjcf else self._form(part, column))
+
+    def _without_mjx(self, effect: AppliedEffect) -> Form:
+        for actuator in self.spec.actuators:
+            # The delay lines of the model are those of the effect.
+            if effect.effect == timing.CommandDelay.id:
+                actuator.delay, actuator.nsample = 0.0, 0
+        self.native.model = self.spec.compile()
+        return _lost(effect, _NOT_IN_MJX[effect.effect])
 
     def _form(self, effect: AppliedEffect, column: int) -> Form:
         write = _FORMS.get(effect.effect)
@@ -225,7 +243,7 @@ class MjcfExporter:
         column = self.native.joints.index(joint)
         actuator, mode = self.drive(column), self.mode(column)
         element = None
-        if actuator is not None and mode != "none":
+        if actuator is not None and mode != "none" and not self.for_mjx:
             element = write_drive(actuator, mode, law, constant=float(actuator.biasprm[0]))
         for effect in self._of_drive[joint]:
             if element is None:
@@ -403,8 +421,8 @@ def _offset(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
 
 def _spring(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
     assert effect.joint is not None
-    if effect.values["stiffness"] != 0.0:
-        return _lost(effect, "MJCF joints have no negative stiffness")
+    if effect.values["stiffness"] != 0.0 or x.for_mjx:
+        return _lost(effect, "MJCF joints have no negative stiffness, and no effort without one")
     return Form(x.constant(effect.joint, effect.values["preload"]))
 
 
@@ -465,6 +483,21 @@ def _directional(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
     return Form("", "lost", "MuJoCo's damping is the same in both directions")
 
 
+_MJX = "MJX has neither pid nor dcmotor"
+_STEPS = "MJX has no delay lines: hold commands for this time in the environment"
+_NOT_IN_MJX: Mapping[str, str] = {
+    timing.CommandDelay.id: _STEPS,
+    timing.SensorDelay.id: "MJX has no delayed sensors: hold readings in the environment",
+    **dict.fromkeys(
+        (
+            actuation.RateLimit.id, actuation.TorqueSpeedLimit.id, actuation.Cogging.id,
+            servo.IntegralGain.id, friction.PreslidingHysteresis.id, friction.StribeckFriction.id,
+            friction.AsymmetricFriction.id,
+        ),
+        _MJX,
+    ),
+}  # fmt: skip
+"""Effect -> why MJX lacks what MuJoCo has for it."""
 _FORMS: Mapping[str, Callable[[MjcfExporter, AppliedEffect, int], Form]] = {
     actuation.ActuatorLag.id: _lag,
     actuation.RateLimit.id: _rate,

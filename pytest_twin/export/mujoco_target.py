@@ -46,10 +46,11 @@ class MujocoExport:
 
     Args:
         source: the model with its effects.
+        for_mjx: whether the files are for MJX.
     """
 
-    def __init__(self, source: ExportSource) -> None:
-        self.source = source
+    def __init__(self, source: ExportSource, *, for_mjx: bool = False) -> None:
+        self.source, self.for_mjx = source, for_mjx
         self.realization = source.loaded.realization
         self.trials = measure.chosen_trials(source.held_out)
         self._variants: dict[tuple[str | None, str | None], ExportedMjcf] = {}
@@ -60,8 +61,9 @@ class MujocoExport:
         if key not in self._variants:
             patched = self.source.patched
             exporter = MjcfExporter(
-                realization.spec.copy(), patched.joints, lambda: self._contact(realization)
-            )
+                realization.spec.copy(), patched.joints, lambda: self._contact(realization),
+                for_mjx=self.for_mjx,
+            )  # fmt: skip
             for effect in patched.effects:
                 exporter.add(effect)
             self._variants[key] = exporter.finish()

@@ -48,7 +48,7 @@ def servo_entry(
         maker="",
         model=name,
         law=_LAW,
-        conditions={"robot": source.loaded.realization.name, **conditions},
+        conditions={"robot": source.path.name, **conditions},
         drive=_drive(rows[joint], findings),
         evidence=_evidence(document, source),
         findings=[
@@ -77,7 +77,7 @@ def _drive(row: DriveRow, findings: list[Mapping[str, Any]]) -> dict[str, Estima
     found = {DRIVE_EFFECTS.get(f["effect"]): f["effect"] for f in findings}
     return {
         name: Estimate(
-            value, PARAMETERS[name][0], (),
+            value + 0.0, PARAMETERS[name][0], (),
             f"finding {found[parts.get(name, name)]}" if parts.get(name, name) in found
             else _MODEL_VALUE,
         )

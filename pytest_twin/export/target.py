@@ -43,6 +43,7 @@ TARGETS: Mapping[str, str] = {
     "newton": "pytest_twin.export.newton",
     "mjlab": "pytest_twin.export.mjlab",
     "isaaclab": "pytest_twin.export.isaaclab",
+    "playground": "pytest_twin.export.playground",
 }
 """Target -> module with a function ``export``."""
 

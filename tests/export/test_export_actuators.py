@@ -23,6 +23,8 @@ MJLAB = "TWIN_MJLAB_PYTHON"
 """Environment variable with the Python of an environment that has mjlab."""
 NEWTON = "TWIN_NEWTON_PYTHON"
 """The same for Newton with newton-usd-schemas and usd-core."""
+MJX = "TWIN_MJX_PYTHON"
+"""The same for mujoco-mjx."""
 EFFECTS: list[Effect] = [
     ("coulomb_friction", 1, {"coulomb": 0.1}),
     ("viscous_friction", 0, {"coefficient": 0.1}),
@@ -176,3 +178,33 @@ def test_newton_reads_the_layer(robot: Robot, tmp_path: Path) -> None:
     assert found["right"]["friction"] == pytest.approx(0.1)
     assert {item["class"] for item in found["right"]["others"]} == {"ClampingMaxEffort", "Delay"}
     assert found["left"]["target"] == "/ROBOT/Physics/left"
+
+
+def test_playground_gets_what_mjx_has_and_the_rest_is_lost(robot: Robot, tmp_path: Path) -> None:
+    effects: list[Effect] = [
+        ("backlash", 0, {"gap": 0.05, "tooth_compliance": 0.01}),
+        ("command_delay", 1, {"delay": 0.0213}),
+        ("cogging", 0, {"sine": 0.1, "cosine": 0.05, "harmonic": 12.0}),
+    ]
+    out, document = exported(robot, tmp_path, "playground", effects)
+    verdicts = {row["feature"]: row["verdict"] for row in document["rows"]}
+    assert verdicts["backlash of left"] == "kept"
+    assert verdicts["command_delay of right"] == "lost"
+    assert verdicts["cogging of left"] == "lost"
+    model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+    assert not model.actuator_delay.any()
+    assert set(model.actuator_gaintype) == {int(mujoco.mjtGain.mjGAIN_FIXED)}
+
+
+@pytest.mark.skipif(MJX not in os.environ, reason=f"{MJX} names no environment with mujoco-mjx")
+def test_mjx_steps_the_playground_model_as_mujoco_does(robot: Robot, tmp_path: Path) -> None:
+    effects: list[Effect] = [*EFFECTS, ("backlash", 0, {"gap": 0.05, "tooth_compliance": 0.01})]
+    out, _ = exported(robot, tmp_path, "playground", effects)
+    script = Path(__file__).with_name("foreign") / "step_mjx.py"
+    run = subprocess.run(
+        [os.environ[MJX], str(script), str(out / "model.xml"), "200"],
+        capture_output=True, text=True, timeout=400, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr[-2000:]
+    positions = json.loads(run.stdout.splitlines()[-1])
+    np.testing.assert_allclose(positions["mjx"], positions["mujoco"], atol=1e-3)
