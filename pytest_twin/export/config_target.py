@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 
@@ -35,7 +36,7 @@ class ConfigTarget:
         written: part of a drive -> field that holds it.
         approximated: part of a drive -> what is missing.
         modes: command modes that the configurations take.
-        has_actuators: whether the robot's file keeps its actuators.
+        actuators: whether the robot's file keeps its actuators, has none, or has motors.
     """
 
     file: str
@@ -44,7 +45,7 @@ class ConfigTarget:
     written: Mapping[str, str]
     approximated: Mapping[str, str]
     modes: tuple[str, ...]
-    has_actuators: bool
+    actuators: Literal["kept", "none", "motors"]
 
 
 def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> Exported:
@@ -58,9 +59,12 @@ def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> E
     rows = [row for row in table.rows if row.mode in target.modes]
     atomic.write_text(folder / target.file, target.render(rows, table.timestep))
     spec = realization.spec.copy()
-    if not target.has_actuators:
+    if target.actuators != "kept":
         for actuator in list(spec.actuators):
             spec.delete(actuator)
+    if target.actuators == "motors":
+        for row in rows:
+            _add_motor(spec, row)
     model = spec.compile()
     atomic.write_text(folder / MODEL_FILE, mjcf_file.with_exact_inertia(spec, model))
     copy_assets(realization, folder)
@@ -80,6 +84,15 @@ def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> E
         {},
         tuple(_notes(target, table)),
     )
+
+
+def _add_motor(spec: mujoco.MjSpec, row: DriveRow) -> None:
+    motor = spec.add_actuator(name=row.joint, target=row.joint)
+    motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    motor.set_to_motor()
+    if row.effort_limit is not None:
+        motor.forcelimited = motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        motor.forcerange = motor.ctrlrange = [-row.effort_limit, row.effort_limit]
 
 
 def _notes(target: ConfigTarget, table: DriveTable) -> list[str]:

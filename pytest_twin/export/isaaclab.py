@@ -81,7 +81,7 @@ TARGET = ConfigTarget(
         "speed_limit": "a DCMotorCfg has no delay: a delay of the same joint is lost",
     },
     modes=("position", "velocity", "effort"),
-    has_actuators=True,
+    actuators="kept",
 )
 
 

@@ -96,7 +96,7 @@ TARGET = ConfigTarget(
     },
     approximated={},
     modes=("position", "velocity", "effort"),
-    has_actuators=False,
+    actuators="none",
 )
 
 

@@ -108,7 +108,7 @@ TARGET = ConfigTarget(
     },
     approximated={},
     modes=("position", "velocity", "effort"),
-    has_actuators=True,
+    actuators="kept",
 )
 
 

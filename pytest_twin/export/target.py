@@ -44,6 +44,7 @@ TARGETS: Mapping[str, str] = {
     "mjlab": "pytest_twin.export.mjlab",
     "isaaclab": "pytest_twin.export.isaaclab",
     "playground": "pytest_twin.export.playground",
+    "drake": "pytest_twin.export.drake",
 }
 """Target -> module with a function ``export``."""
 

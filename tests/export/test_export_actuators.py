@@ -23,6 +23,8 @@ MJLAB = "TWIN_MJLAB_PYTHON"
 """Environment variable with the Python of an environment that has mjlab."""
 NEWTON = "TWIN_NEWTON_PYTHON"
 """The same for Newton with newton-usd-schemas and usd-core."""
+DRAKE = "TWIN_DRAKE_PYTHON"
+"""The same for drake."""
 MJX = "TWIN_MJX_PYTHON"
 """The same for mujoco-mjx."""
 EFFECTS: list[Effect] = [
@@ -122,11 +124,9 @@ def test_what_an_actuator_cannot_hold_is_lost(robot: Robot, tmp_path: Path) -> N
     assert [row["verdict"] for row in document["rows"]] == ["lost", "lost"]
 
 
-@pytest.mark.skipif(MJLAB not in os.environ, reason=f"{MJLAB} names no environment with mjlab")
-def test_mjlab_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> None:
-    out, document = exported(robot, tmp_path, "mjlab", EFFECTS)
-    assert {row["verdict"] for row in document["rows"]} == {"kept"}
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "diagnosis" / "realization" / "model.xml"))
+def moved_by(python: str, script: str, out: Path, realization: Path) -> tuple[Any, Any]:
+    """Positions of an exported robot in another simulator, and of the diagnosed MJCF in MuJoCo."""
+    model = mujoco.MjModel.from_xml_path(str(realization / "model.xml"))
     data = mujoco.MjData(model)
     time = np.arange(500) * model.opt.timestep
     values = 0.4 * np.sin(6.0 * time[:, None] * [1.0, 1.3])
@@ -135,19 +135,47 @@ def test_mjlab_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> Non
         data.ctrl[:] = row
         mujoco.mj_step(model, data)
         expected.append(data.qpos.copy())
-    commands = tmp_path / "commands.json"
     names = ["left", "right"]
+    commands = out / "commands.json"
     commands.write_text(
-        json.dumps({"actuators": names, "joints": names, "values": values.tolist()})
-    )
-    script = Path(__file__).with_name("foreign") / "step_mjlab.py"
+        json.dumps({
+            "actuators": names, "joints": names, "values": values.tolist(),
+            "timestep": model.opt.timestep,
+        })
+    )  # fmt: skip
     run = subprocess.run(
-        [os.environ[MJLAB], str(script), str(out), str(commands)],
+        [python, str(Path(__file__).with_name("foreign") / script), str(out), str(commands)],
         capture_output=True, text=True, timeout=240, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr[-2000:]
-    positions = json.loads(run.stdout.splitlines()[-1])["positions"]
-    assert np.abs(np.array(positions) - np.array(expected)).max() < 1e-4
+    return np.array(json.loads(run.stdout.splitlines()[-1])["positions"]), np.array(expected)
+
+
+@pytest.mark.skipif(MJLAB not in os.environ, reason=f"{MJLAB} names no environment with mjlab")
+def test_mjlab_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> None:
+    out, document = exported(robot, tmp_path, "mjlab", EFFECTS)
+    assert {row["verdict"] for row in document["rows"]} == {"kept"}
+    moved, expected = moved_by(
+        os.environ[MJLAB], "step_mjlab.py", out, tmp_path / "diagnosis" / "realization"
+    )
+    assert np.abs(moved - expected).max() < 1e-4
+
+
+def test_drake_has_no_dry_friction(robot: Robot, tmp_path: Path) -> None:
+    _, document = exported(robot, tmp_path, "drake", EFFECTS)
+    verdicts = {row["feature"]: row["verdict"] for row in document["rows"]}
+    assert verdicts.pop("coulomb_friction of right") == "lost"
+    assert set(verdicts.values()) == {"kept"}
+
+
+@pytest.mark.skipif(DRAKE not in os.environ, reason=f"{DRAKE} names no environment with drake")
+def test_drake_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> None:
+    out, _ = exported(robot, tmp_path, "drake", EFFECTS[1:])
+    moved, expected = moved_by(
+        os.environ[DRAKE], "step_drake.py", out, tmp_path / "diagnosis" / "realization"
+    )
+    # Drake integrates the gains implicitly, MuJoCo the stiffness explicitly: half a step apart.
+    assert np.sqrt(np.mean((moved - expected) ** 2)) < 0.02
 
 
 def test_newton_gets_a_layer_with_actuators_and_passive_forces(
