@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source",
         metavar="DIAGNOSIS|TWIN",
         type=Path,
-        help="folder that diagnose wrote, twin.yaml, or a model file",
+        help="twin.yaml or its folder (or the folder that diagnose wrote, or a model file)",
     )
     parser.add_argument("--to", metavar="TARGET", choices=TARGETS, required=True,
                         help=f"simulator: {', '.join(TARGETS)}")  # fmt: skip

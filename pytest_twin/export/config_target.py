@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import mujoco
+from lxml import etree
 
 from pytest_twin.diagnosis.patched.model import MODEL_FILE
 from pytest_twin.effects import catalogue
@@ -23,6 +24,9 @@ from pytest_twin.export.source import ExportSource
 from pytest_twin.export.target import Exported
 from pytest_twin.formats import atomic
 from pytest_twin.realization import mjcf_file
+
+
+_MOTOR_ATTRIBUTES = ("name", "joint", "ctrlrange", "forcerange", "ctrllimited", "forcelimited")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +69,10 @@ def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> E
     if target.actuators == "motors":
         for row in rows:
             _add_motor(spec, row)
-    model = spec.compile()
-    atomic.write_text(folder / MODEL_FILE, mjcf_file.with_exact_inertia(spec, model))
+    text = mjcf_file.with_exact_inertia(spec, spec.compile())
+    if target.actuators == "motors":
+        text = _with_motor_tags(text)
+    atomic.write_text(folder / MODEL_FILE, text)
     copy_assets(realization, folder)
     mujoco.MjModel.from_xml_path(str(folder / MODEL_FILE))
     approximated = dict(target.approximated)
@@ -93,6 +99,17 @@ def _add_motor(spec: mujoco.MjSpec, row: DriveRow) -> None:
     if row.effort_limit is not None:
         motor.forcelimited = motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
         motor.forcerange = motor.ctrlrange = [-row.effort_limit, row.effort_limit]
+
+
+def _with_motor_tags(text: str) -> str:
+    """The MJCF with ``motor`` elements, where MuJoCo writes ``general`` ones."""
+    root = etree.fromstring(text.encode())
+    for actuator in root.iterfind("actuator/*"):
+        stated = {k: v for k, v in actuator.attrib.items() if k in _MOTOR_ATTRIBUTES}
+        actuator.tag = "motor"
+        actuator.attrib.clear()
+        actuator.attrib.update(stated)
+    return str(etree.tostring(root, encoding="unicode")) + "\n"
 
 
 def _notes(target: ConfigTarget, table: DriveTable) -> list[str]:

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import mujoco
-from scipy.optimize import brentq
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _SPARE_SAMPLES = 3
@@ -63,26 +62,8 @@ def _adapt_to_fourth_order(actuator: mujoco.MjsActuator, step: float) -> None:
       early, because stages within the step read it too.
     - The exact integration of a filter is applied to the mean slope of the stages, which has the
       decay within the step already.
-    - A ``dcmotor`` uses the current at the end of the step, in every stage.
     """
     if actuator.delay > 0.0 and actuator.interp == 1:
         actuator.delay += step / 2.0
-    dynamics, time_constant = mujoco.mjtDyn, float(actuator.dynprm[0])
-    if actuator.dyntype == dynamics.mjDYN_FILTEREXACT and time_constant > step:
-        actuator.dyntype = dynamics.mjDYN_FILTER
-    elif actuator.dyntype == dynamics.mjDYN_DCMOTOR and time_constant > 0.0:
-        actuator.dynprm[0] = _time_constant_in_rk4(time_constant, step)
-        actuator.actearly = False
-
-
-def _time_constant_in_rk4(time_constant: float, step: float) -> float:
-    """Time constant whose decay over a step of MuJoCo's RK4 is that of the given one, s.
-
-    With ``x = step / time constant`` MuJoCo's decay is ``(1 - exp(-x))^2 / x``.
-    """
-    decay = -math.expm1(-step / time_constant)
-    # The decay of RK4 has its maximum, 0.407, near x = 1.26.
-    if decay >= 0.4:
-        return time_constant
-    x = brentq(lambda x: math.expm1(-x) ** 2 / x - decay, 1e-12, 1.25)
-    return step / float(x)
+    if actuator.dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT and actuator.dynprm[0] > step:
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER

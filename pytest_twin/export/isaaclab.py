@@ -71,7 +71,7 @@ TARGET = ConfigTarget(
         "effort_limit": "effort_limit",
         "armature": "armature",
         "friction": "friction, dynamic_friction",
-        "viscous": "viscous_friction",
+        "viscous": "field viscous_friction",
         "stiction": "friction, dynamic_friction",
         "delay": "DelayedPDActuatorCfg min_delay, max_delay",
         "speed_limit": "DCMotorCfg saturation_effort, velocity_limit",

@@ -274,7 +274,7 @@ class MjcfExporter:
         self.native.model = self.spec.compile()
 
     def _add_cogging(self, joint: str, amplitude: float, harmonic: int, phase: float) -> None:
-        self.passive(joint, "cogging", cogging=[amplitude, harmonic, phase])
+        self.passive(joint, "ripple", cogging=[amplitude, harmonic, phase])
 
     def _write_reading(self, joint: str, reading: Reading) -> None:
         name = f"{joint}{READING}"
@@ -370,7 +370,7 @@ def _cogging(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
     x.cogging.append(
         (effect.joint, math.hypot(sine, cosine), round(harmonic), math.atan2(cosine, sine))
     )
-    return Form(f"dcmotor '{effect.joint}_cogging' without input")
+    return Form(f"dcmotor '{effect.joint}_ripple' without input")
 
 
 def _presliding(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:

@@ -74,7 +74,7 @@ def _step(
     else:
         mujoco.mj_forward(model, data)
         read(run.steps)
-    return _at_stamps(positions, run)
+    return run.encoders.read_position(_at_stamps(positions, run))
 
 
 def _at_stamps(positions: FloatArray, run: RowSimulation) -> FloatArray:
@@ -107,16 +107,11 @@ def _set_first_state(
         data.qpos[at] = (
             data.qpos[int(model.joint(joint).qposadr[0])]
             + carried / motor.stiffness
-            + math_sign(carried) * motor.gap / 2.0
+            + float(np.sign(carried)) * motor.gap / 2.0
         )
         data.qvel[int(model.joint(motor.motor).dofadr[0])] = data.qvel[
             int(model.joint(joint).dofadr[0])
         ]
-
-
-def math_sign(value: float) -> float:
-    """Sign of a number, 0 for 0."""
-    return float(np.sign(value))
 
 
 def _loads(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:

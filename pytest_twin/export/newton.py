@@ -24,20 +24,44 @@ _MODULE = '''#usda 1.0
 
 over "ROBOT"
 {{
-{drives}}}
+    over "Physics"
+    {{
+{joints}    }}
+
+    def Scope "Actuators"
+    {{
+{actuators}    }}
+}}
 '''
 
 
 def _render(rows: Sequence[DriveRow], timestep: float) -> str:
     return _MODULE.format(
-        drives="\n".join(_drive(row, timestep) for row in rows), timestep=repr(timestep)
+        joints="".join(_joint(row) for row in rows),
+        actuators="".join(_actuator(row, timestep) for row in rows),
+        timestep=repr(timestep),
     )
 
 
-def _drive(row: DriveRow, timestep: float) -> str:
-    name = re.sub(r"\W|^(?=\d)", "_", row.joint, flags=re.ASCII)
+def _name(row: DriveRow) -> str:
+    return re.sub(r"\W|^(?=\d)", "_", row.joint, flags=re.ASCII)
+
+
+def _joint(row: DriveRow) -> str:
     # Angular damping of a joint is per degree, gains of an actuator are per radian.
     damping = row.viscous if row.is_slide else math.radians(row.viscous)
+    return f"""        over "{_name(row)}" (
+            prepend apiSchemas = ["NewtonJointAPI"]
+        )
+        {{
+            float newton:armature = {number(row.armature)}
+            float newton:damping = {number(damping)}
+            float newton:friction = {number(row.friction)}
+        }}
+"""
+
+
+def _actuator(row: DriveRow, timestep: float) -> str:
     schemas = ["NewtonPDControlAPI"]
     lines = [
         f"float newton:kp = {number(row.stiffness)}",
@@ -62,33 +86,14 @@ def _drive(row: DriveRow, timestep: float) -> str:
         schemas.append("NewtonActuatorDelayAPI")
         lines.append(f"int newton:delaySteps = {steps}")
     listed = ", ".join(f'"{schema}"' for schema in schemas)
-    passive = "\n".join(
-        f"            float newton:{field} = {number(value)}"
-        for field, value in (
-            ("armature", row.armature), ("damping", damping), ("friction", row.friction),
-        )
-    )  # fmt: skip
     driven = "\n".join(f"            {line}" for line in lines)
-    return f"""    over "Physics"
-    {{
-        over "{name}" (
-            prepend apiSchemas = ["NewtonJointAPI"]
-        )
-        {{
-{passive}
-        }}
-    }}
-
-    def Scope "Actuators_{name}"
-    {{
-        def NewtonActuator "{name}" (
+    return f"""        def NewtonActuator "{_name(row)}" (
             prepend apiSchemas = [{listed}]
         )
         {{
-            rel newton:targets = </ROBOT/Physics/{name}>
+            rel newton:targets = </ROBOT/Physics/{_name(row)}>
 {driven}
         }}
-    }}
 """
 
 

@@ -19,5 +19,5 @@ def export(source: ExportSource, folder: Path) -> Exported:
         TwinError: as :func:`pytest_twin.export.mujoco_target.export`.
     """
     exported = MujocoExport(source, for_mjx=True).write(folder)
-    note = "stepped with MuJoCo; MJX has single precision unless jax_enable_x64 is set"
+    note = "checked with MuJoCo alone; MJX has single precision unless jax_enable_x64 is set"
     return replace(exported, notes=(*exported.notes, note))

@@ -18,6 +18,7 @@ from pytest_twin.loaded_model import LoadedModel, load_model
 from pytest_twin.realization.record_inputs import model_of, refuse_stale_records, unfitted
 from pytest_twin.records.basis import Basis, input_parts
 from pytest_twin.trial import Trial, make_trials, recording_at
+from pytest_twin.twin import Twin
 
 DIAGNOSIS_FILE = "diagnosis.json"
 SURE = 0.9
@@ -85,7 +86,7 @@ def read_source(path: Path, recordings: Sequence[Path] = ()) -> ExportSource:
         read = recording_at(recording, loaded.topics, loaded.options)
         trials += make_trials(read, loaded.realization.structure, loaded.options)
     findings = document.get("findings", [])
-    notes = (*found.notes, *_doubts(document, loaded))
+    notes = (*found.notes, *_doubts(document), *_of_the_twin(twin))
     return ExportSource(path, loaded, findings, tuple(trials), notes)
 
 
@@ -171,7 +172,7 @@ def _held_out_recordings(document: Mapping[str, Any], path: Path) -> _Recordings
     return found
 
 
-def _doubts(document: Mapping[str, Any], loaded: LoadedModel) -> list[str]:
+def _doubts(document: Mapping[str, Any]) -> list[str]:
     """One line for each finding that is not sure, and for a residual without a name."""
     notes = []
     verdict = document.get("verdict")
@@ -196,6 +197,22 @@ def _doubts(document: Mapping[str, Any], loaded: LoadedModel) -> list[str]:
         law = laws.get(finding["effect"])
         if law is not None and _may_be_absent(law, finding["parameters"]):
             notes.append(f"{place} is exported, but its 95 % interval contains no effect at all")
+    return notes
+
+
+def _of_the_twin(twin: Twin | None) -> list[str]:
+    """One line for each part of a twin that no simulator's file holds."""
+    if twin is None:
+        return []
+    notes = []
+    if twin.calibration is not None and twin.calibration.joints:
+        named = ", ".join(twin.calibration.joints)
+        notes.append(
+            f"signs, scales and zeros of the encoders of {named} are not exported: the files have "
+            "the model's positions"
+        )
+    if twin.payloads:
+        notes.append(f"payloads are not exported: {', '.join(twin.payloads)}")
     return notes
 
 

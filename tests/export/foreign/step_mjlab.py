@@ -20,6 +20,8 @@ from mjlab.entity import Entity, EntityArticulationInfoCfg, EntityCfg  # noqa: E
 articulation = EntityArticulationInfoCfg(actuators=mjlab_actuators.actuators())
 entity = Entity(EntityCfg(spec_fn=mjlab_actuators.spec, articulation=articulation))
 model = entity.spec.compile()
+# As in mjlab's MujocoCfg; an entity's own options are not taken over.
+model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0.002
 data = mujoco.MjData(model)
 order = [model.actuator(name).id for name in commands["actuators"]]
 positions = []
