@@ -25,7 +25,6 @@ from pytest_twin.export.target import Exported
 from pytest_twin.formats import atomic
 from pytest_twin.realization import mjcf_file
 
-
 _MOTOR_ATTRIBUTES = ("name", "joint", "ctrlrange", "forcerange", "ctrllimited", "forcelimited")
 
 

@@ -158,7 +158,7 @@ def test_mjlab_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> Non
     moved, expected = moved_by(
         os.environ[MJLAB], "step_mjlab.py", out, tmp_path / "diagnosis" / "realization"
     )
-    assert np.abs(moved - expected).max() < 1e-4
+    assert np.abs(moved - expected).max() < 1e-9
 
 
 def test_drake_has_no_dry_friction(robot: Robot, tmp_path: Path) -> None:
