@@ -1,4 +1,4 @@
-"""Install the simulators of ``pytest-twin export`` in environments of their own, and run their tests.
+"""Install the simulators of ``pytest-twin export`` in own environments, and run their tests.
 
     python tests/export/foreign/run.py FOLDER
 
