@@ -104,10 +104,9 @@ def _with_motor_tags(text: str) -> str:
     """The MJCF with ``motor`` elements, where MuJoCo writes ``general`` ones."""
     root = etree.fromstring(text.encode())
     for actuator in root.iterfind("actuator/*"):
-        stated = {k: v for k, v in actuator.attrib.items() if k in _MOTOR_ATTRIBUTES}
         actuator.tag = "motor"
-        actuator.attrib.clear()
-        actuator.attrib.update(stated)
+        for name in set(actuator.attrib) - set(_MOTOR_ATTRIBUTES):
+            del actuator.attrib[name]
     return str(etree.tostring(root, encoding="unicode")) + "\n"
 
 
