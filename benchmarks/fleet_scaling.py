@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "diagnosis"))
 
 from two_pendulums import case
 
-from pytest_twin.commands.fleet import Options, Robot, diagnose_fleet
+from pytest_twin.commands.fleet import Options, Robot, outcomes_of
 from pytest_twin.realization.executor import Forks
 
 
@@ -44,7 +44,7 @@ def main() -> None:
         for jobs in (1, args.jobs):
             options = Options(Path(scratch) / f"jobs{jobs}", 1, arguments)
             start = time.perf_counter()
-            outcomes = diagnose_fleet(fleet, options, Forks(jobs))
+            outcomes = outcomes_of(fleet, options, Forks(jobs))
             seconds[jobs] = time.perf_counter() - start
             said = [o.verdict or o.error for o in outcomes]
             print(f"{jobs} jobs: {seconds[jobs]:.1f} s, verdicts {said}")

@@ -33,6 +33,7 @@ SCHEMAS = {
 RESULTS = {
     "diagnosis": "`diagnosis.json` and `diagnose --json -`",
     "changes": "`diagnosis.json` of `diagnose --before`, and its `--json -`",
+    "trend": "`trend.json` and `trend --json -`",
     "fleet": "`fleet.json` and `diagnose --fleet --json -`",
     "calibrate": "`calibration.json` and `calibrate --json -`",
     "identify": "`identification.json` and `identify --json -`",

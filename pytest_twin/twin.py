@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from functools import cache
 from importlib import resources
@@ -75,6 +76,18 @@ class _Section:
         where = self.prefix + where
         line = _line(self.lines, where)
         return SpecError(problem, path=self.path, line=line, where=where, **details)
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredEvent:
+    """A change of the robot that a person states, such as a new gearbox.
+
+    Attributes:
+        date: when, UTC.
+    """
+
+    date: datetime
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,6 +366,7 @@ class Twin:
         fresh: smallest displacement that makes stamped data stale.
         excitation: section ``excitation:`` as written, with the limits that a person approved;
             None without it.
+        events: declared changes of the robot, by date.
         authority: rules; the first that matches a golden applies.
         residual, update: residual force and online update, or None.
         shadow: criteria for the promotion of a candidate.
@@ -385,6 +399,7 @@ class Twin:
     release: ReleasePolicy = field(default_factory=ReleasePolicy)
     fresh: FreshPolicy = field(default_factory=FreshPolicy)
     excitation: Mapping[str, Any] | None = None
+    events: tuple[DeclaredEvent, ...] = ()
     authority: tuple[Authority, ...] = ()
     residual: ResidualSpec | None = None
     update: UpdateSpec | None = None
@@ -630,6 +645,7 @@ class _Reader:
             ranges=self._ranges(),
             fresh=typed.build(data.get("fresh", {}), FreshPolicy),
             excitation=data.get("excitation"),
+            events=self._events(),
             lines=self.lines,
         )
 
@@ -644,6 +660,20 @@ class _Reader:
                         expected=f"each joint once; it is also under {type_of[joint]}",
                     )  # fmt: skip
         return motors
+
+    def _events(self) -> tuple[DeclaredEvent, ...]:
+        found = []
+        for at, event in enumerate(self.data.get("events", ())):
+            try:
+                date = datetime.fromisoformat(str(event["date"]))
+            except ValueError:
+                raise self.section.error(
+                    f"events.{at}.date", "not a date", value=event["date"],
+                    expected="2026-05-03 or 2026-05-03T14:30:00+02:00 (ISO 8601)",
+                ) from None  # fmt: skip
+            zoned = date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)
+            found.append(DeclaredEvent(zoned, event["what"]))
+        return tuple(sorted(found, key=lambda event: event.date))
 
     def _file(self, reference: str, where: str) -> Path:
         return self.roots.resolve(reference, at=self.path, line=_line(self.lines, where))

@@ -84,26 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     # A fleet tells a given limit of all robots from the default one of each.
     parser.set_defaults(seconds=None)
-    parser.add_argument(
-        "--fleet",
-        metavar="FILE.yaml",
-        type=Path,
-        help="diagnose several robots, instead of MODEL and RECORDING: "
-        "`robots: {NAME: {model: FILE, recordings: [FILE, ...], held_out: [FILE, ...]}}`; "
-        "a folder for each robot and fleet.json are written to --out",
-    )
-    parser.add_argument(
-        "--jobs",
-        metavar="N",
-        type=int,
-        help="number of robots that are diagnosed at the same time (default: the number of cores)",
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="run the fleet on the workers of this Dask scheduler, tcp://HOST:PORT (extra `dask`); "
-        "they need access to the same files",
-    )
+    fleet.add_arguments(parser, "diagnose")
     viewer_files.add_arguments(parser)
     add_recording_arguments(parser)
     model_files.add_arguments(parser)
@@ -148,10 +129,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.before:
         return before.run(args, arguments["seconds"])
-    if args.scheduler is not None or args.jobs is not None:
-        raise TwinError(
-            "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml too"
-        )
+    fleet.refuse_alone(args)
     out: Path = args.out.absolute()
     drawn = (args.held_out or args.recordings)[0].resolve()
     viewers = viewer_files.chosen(args, drawn)

@@ -1,4 +1,4 @@
-"""``pytest-twin diagnose --fleet``: diagnose several robots."""
+"""The option ``--fleet``: diagnose or follow several robots."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -128,47 +128,116 @@ def read_fleet(path: Path) -> list[Robot]:
     return found
 
 
-def diagnose_robot(robot: Robot, options: Options) -> Outcome:
-    """Diagnose one robot into its folder; unusable input gives an outcome instead of an error."""
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is done with every robot of a fleet.
+
+    Attributes:
+        work: function of a robot and the options that writes its folder and returns its verdict.
+        open_verdicts: verdicts with which the exit status is 1.
+        report: file name of a robot's page.
+        failed: words for a robot whose input cannot be used.
+    """
+
+    work: Callable[[Robot, Options], str]
+    open_verdicts: frozenset[str]
+    report: str
+    failed: str
+
+
+def diagnose_robot(robot: Robot, options: Options) -> str:
+    """Diagnose one robot into its folder; return its verdict."""
     from pytest_twin.commands.diagnose import diagnose_into
 
+    summary = diagnose_into(
+        options.out / robot.name,
+        robot.model,
+        robot.recordings,
+        robot.held_out,
+        {**options.arguments, "threads": options.threads},
+        options.stop,
+    )
+    return str(summary["verdict"])
+
+
+DIAGNOSIS = Task(
+    diagnose_robot, frozenset({"improved", "unexplained"}), REPORT_FILE, "not diagnosed"
+)
+
+
+def outcome_of(robot: Robot, options: Options, task: Task = DIAGNOSIS) -> Outcome:
+    """Do the task for one robot; unusable input gives an outcome instead of an error."""
     if options.stop is not None and options.stop.is_sent:
         return Outcome(robot.name, None, "the fleet was stopped before its turn", is_tried=False)
     since = time.perf_counter()
     try:
         with declaring(options.declared):
-            summary = diagnose_into(
-                options.out / robot.name,
-                robot.model,
-                robot.recordings,
-                robot.held_out,
-                {**options.arguments, "threads": options.threads},
-                options.stop,
-            )
+            verdict = task.work(robot, options)
     except TwinError as error:
         return Outcome(robot.name, None, str(error), time.perf_counter() - since)
-    return Outcome(robot.name, summary["verdict"], "", time.perf_counter() - since)
+    return Outcome(robot.name, verdict, "", time.perf_counter() - since)
 
 
-def diagnose_fleet(robots: Sequence[Robot], options: Options, executor: Executor) -> list[Outcome]:
-    """Diagnose every robot, and return the outcomes in the same order.
+def outcomes_of(
+    robots: Sequence[Robot], options: Options, executor: Executor, task: Task = DIAGNOSIS
+) -> list[Outcome]:
+    """Do the task for every robot, and return the outcomes in the same order.
 
     Args:
         robots: robots with different names.
         options: options that they share.
     """
-    return executor.map(partial(diagnose_robot, options=options), robots)
+    return executor.map(partial(outcome_of, options=options, task=task), robots)
 
 
-def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
-    """Diagnose a fleet; return the exit status.
-
-    It is 0 if no residual is unexplained, 1 if one is or a robot was not tried, 2 if an input
-    cannot be used.
+def add_arguments(parser: argparse.ArgumentParser, verb: str) -> None:
+    """Declare the options of a fleet.
 
     Args:
-        args: parsed arguments of ``diagnose``.
-        arguments: fields of ``DiagnosisRequest`` other than files.
+        verb: what is done with a robot, such as ``diagnose``.
+    """
+    parser.add_argument(
+        "--fleet",
+        metavar="FILE.yaml",
+        type=Path,
+        help=f"{verb} several robots, instead of one model and its recordings: "
+        "`robots: {NAME: {model: FILE, recordings: [FILE, ...], held_out: [FILE, ...]}}`; "
+        f"a folder for each robot and {FLEET_FILE} are written to --out",
+    )
+    parser.add_argument(
+        "--jobs",
+        metavar="N",
+        type=int,
+        help="number of robots at the same time (default: the number of cores)",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run the fleet on the workers of this Dask scheduler, tcp://HOST:PORT (extra `dask`); "
+        "they need access to the same files",
+    )
+
+
+def refuse_alone(args: argparse.Namespace) -> None:
+    """Refuse the options of a fleet without one.
+
+    Raises:
+        TwinError: an option of a fleet is given.
+    """
+    if args.scheduler is not None or args.jobs is not None:
+        raise TwinError(
+            "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml"
+        )
+
+
+def run(args: argparse.Namespace, arguments: Mapping[str, Any], task: Task = DIAGNOSIS) -> int:
+    """Do the task for a fleet; return the exit status.
+
+    It is 1 if a verdict is open or a robot was not tried, 2 if an input cannot be used, else 0.
+
+    Args:
+        args: parsed arguments of the command.
+        arguments: fields of the task's request other than files.
 
     Raises:
         TwinError: the fleet file or the output folder cannot be used.
@@ -183,26 +252,26 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any]) -> int:
     ]  # fmt: skip
     jobs = min(args.jobs or usable_cores(), len(robots))
     threads = max(1, usable_cores() // jobs) if args.scheduler is None else 1
-    if args.seconds is not None:
+    if getattr(args, "seconds", None) is not None:
         arguments = {**arguments, "seconds": args.seconds / len(robots)}
     # It describes the robots' folders, which are replaced one by one.
     results.withdraw(out, FLEET_FILE)
     with stop_on_interrupt(_tell) as stop:
         executor: Executor = Forks(jobs) if args.scheduler is None else Dask(args.scheduler, stop)
         options = Options(out, threads, arguments, declared_inputs(), stop)
-        outcomes = diagnose_fleet(robots, options, executor)
+        outcomes = outcomes_of(robots, options, executor, task)
         document = _document(outcomes)
         with results.result_folder(out, FLEET_FILE) as staging:
             atomic.write_text(staging / FLEET_FILE, json.dumps(document, indent=2) + "\n")
         json_output.give(args, document)
         width = max(len(o.name) for o in outcomes)
         for o in outcomes:
-            words = o.verdict or f"not diagnosed: {o.error}"
+            words = o.verdict or f"{task.failed}: {o.error}"
             show(printable(f"{o.name:<{width}}  {words}"))
-        show(f"reports: {args.out}/NAME/{REPORT_FILE}")
+        show(f"reports: {args.out}/NAME/{task.report}")
     if any(o.verdict is None and o.is_tried for o in outcomes):
         return 2
-    return int(any(o.verdict in ("improved", "unexplained", None) for o in outcomes))
+    return int(any(o.verdict is None or o.verdict in task.open_verdicts for o in outcomes))
 
 
 def _tell() -> None:

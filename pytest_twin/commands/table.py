@@ -59,6 +59,10 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "servo": (
             "list and show identified servos, and add the drive of a diagnosed joint"
         ),
+        "trend": (
+            "follow parameters and errors of a robot over dated recordings, with change points "
+            "and alarms"
+        ),
         "effects": (
             "list the physical effects that a diagnosis can name, with laws, parameters and sources"
         ),

@@ -77,6 +77,7 @@ class MeasuredRecording:
 
     Attributes:
         start: time from the recording's first state, s.
+        stamp: stamp of the recording's first state, ns; the time of day if its clock has it.
         joints: names in the model.
         time: (n,) s, increasing.
         position: (n, joints) rad or m.
@@ -109,6 +110,7 @@ class MeasuredRecording:
     known: KnownEfforts | None = None
     base: DrivenBase | None = None
     filter_cutoff: float | None = None
+    stamp: int = 0
 
     @property
     def rate(self) -> float:
@@ -339,6 +341,7 @@ def _at_joints(
             (cutoff for name in names if (cutoff := signals.of(name).filter_cutoff) is not None),
             default=None,
         ),
+        stamp=int(stamp[0]),
     )
 
 

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from two_pendulums import case
 
-from pytest_twin.commands.fleet import Options, Outcome, Robot, diagnose_fleet, read_fleet
+from pytest_twin.commands.fleet import Options, Outcome, Robot, outcomes_of, read_fleet
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.schema import load_schema
 
@@ -57,7 +57,7 @@ class ReversedExecutor:
 
 def test_outcomes_have_the_order_of_the_robots_with_any_executor(tmp_path: Path) -> None:
     robots = [Robot(name, tmp_path / f"{name}.xml", (tmp_path / "a.mcap",)) for name in "abc"]
-    outcomes = diagnose_fleet(robots, Options(tmp_path / "out"), ReversedExecutor())
+    outcomes = outcomes_of(robots, Options(tmp_path / "out"), ReversedExecutor())
     assert [o.name for o in outcomes] == ["a", "b", "c"]
     assert all(isinstance(o, Outcome) and o.verdict is None for o in outcomes)
 

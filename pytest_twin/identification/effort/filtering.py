@@ -41,7 +41,7 @@ _PARALLEL_CUTOFF, _RATE = 2.0, 5.0
 accelerations' bandwidth."""
 _HIGHEST = 0.4
 """Largest cutoff of any filter, relative to the sampling rate."""
-_OVERSAMPLED = 10.0
+OVERSAMPLED = 10.0
 """Ratio of the rate at which regressors are computed to the rate of the fit."""
 
 
@@ -109,7 +109,7 @@ def choose_filter(recordings: Sequence[MeasuredRecording]) -> Filter:
 
 
 def differentiate(
-    recording: MeasuredRecording, chosen: Filter, oversampled: float = _OVERSAMPLED
+    recording: MeasuredRecording, chosen: Filter, oversampled: float = OVERSAMPLED
 ) -> Motion:
     """Return motion with velocities and accelerations, at the rate of the regressors.
 

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.identification.effort.filtering import Filter, Motion, decimate, differentiate
+from pytest_twin.identification.effort.filtering import (
+    OVERSAMPLED,
+    Filter,
+    Motion,
+    decimate,
+    differentiate,
+)
 from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.identification.regressor import Regressor
 
@@ -54,6 +60,7 @@ def sample(
     chosen: Filter,
     commanded: Sequence[MeasuredRecording] | None = None,
     rest: FloatArray | None = None,
+    oversampled: float = OVERSAMPLED,
 ) -> list[RecordingRows]:
     """Rows of every recording.
 
@@ -62,8 +69,9 @@ def sample(
         regressors: regressor of each recording, which may have its own payload.
         commanded: the same recordings with noise-free motion, for an instrument.
         rest: (joints,) speeds below which a joint is at rest; by default those of the recordings.
+        oversampled: ratio of the rate of the regressors to that of the rows, at least.
     """
-    motions = [differentiate(one, chosen) for one in recordings]
+    motions = [differentiate(one, chosen, oversampled) for one in recordings]
     rest = _rest_speeds(motions) if rest is None else rest
     rows = [
         _rows(one, motion, regressor, chosen, rest)

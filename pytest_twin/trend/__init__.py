@@ -1,0 +1,1 @@
+"""Parameters of one robot over dated recordings: bands, changes and alarms."""
