@@ -56,9 +56,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
             "write the findings of a diagnosis, or a twin, as another simulator takes them, with a "
             "matrix of what is lost"
         ),
-        "servo": (
-            "list and show identified servos, and add the drive of a diagnosed joint"
-        ),
+        "servo": ("list and show identified servos, and add the drive of a diagnosed joint"),
         "trend": (
             "follow parameters and errors of a robot over dated recordings, with change points "
             "and alarms"
