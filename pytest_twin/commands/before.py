@@ -11,9 +11,11 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP, recording_options
+from pytest_twin.commands.released_model import model_changes, released_beside
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
+from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REPORT_FILE
 from pytest_twin.loaded_model import find_model
 from pytest_twin.report import changes
@@ -87,6 +89,9 @@ def run(args: argparse.Namespace, seconds: float) -> int:
         "level": args.alarm_level,
         "seconds": seconds,
     }
+    released = released_beside(find_model(args.model).absolute(), args.before)
+    if released is not None:
+        request["release"] = released.number
     progress = Progress("comparing")
     with (
         progress.stopping_early("the best result so far is written") as stop,
@@ -98,6 +103,14 @@ def run(args: argparse.Namespace, seconds: float) -> int:
             {"request": request},
             progress=progress,
         )
+        if released is not None:
+            with temporary_folder() as copied:
+                document["model_changes"] = model_changes(
+                    find_model(args.model).absolute(), released, copied, sandbox,
+                    {"recordings": request["before"], "topics": request["topics"],
+                     "options": request["options"]},
+                )  # fmt: skip
+            document["notes"] = [*released.notes, *document["notes"]]
         atomic.write_text(staging / DIAGNOSIS_FILE, json.dumps(document, indent=2) + "\n")
         atomic.write_text(staging / REPORT_FILE, changes.render(document))
     json_output.give(args, document)

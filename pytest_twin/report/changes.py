@@ -39,8 +39,23 @@ def words(document: Mapping[str, Any]) -> list[str]:
     for joint, error in errors.items():
         usual, before, after = _errors(error)
         lines.append(f"    {joint:<{width}}  {usual}, {before}, {after}")
+    lines += [f"  {line}" for line in model_lines(document)]
     lines += [f"  Note: {note}" for note in document["notes"]]
     return lines
+
+
+def model_lines(document: Mapping[str, Any]) -> list[str]:
+    """Return a line for each part of the model that changed since the release."""
+    return [
+        f"Changed in the model since the release: {change['part']}"
+        + (
+            ""
+            if change["share"] is None
+            else f"; its released value removes {percent(change['share'])} of the squared error "
+            "that the model has gained in the earlier recordings"
+        )
+        for change in document["model_changes"]
+    ]
 
 
 def headline(document: Mapping[str, Any]) -> str:
@@ -71,6 +86,7 @@ def render(document: Mapping[str, Any]) -> str:
         headline=headline(document),
         mood=_MOOD[document["verdict"]],
         alarm=alarm_sentence(document),
+        model_changes=model_lines(document),
         findings=[
             {
                 **finding,

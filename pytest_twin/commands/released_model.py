@@ -1,0 +1,127 @@
+"""The release of the twin that earlier recordings are compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.release.check import baseline
+from pytest_twin.release.folder import RELEASES
+from pytest_twin.release.restore import copy_files, place_of
+from pytest_twin.release.rollback import changed_files
+from pytest_twin.release.statement import Release
+from pytest_twin.twin import FILE_NAME
+
+_RECORDINGS = (".mcap", ".db3", ".csv", ".parquet")
+"""Endings of recordings."""
+_ENGINES = {"mujoco": "MuJoCo", "pin": "Pinocchio"}
+"""Distribution -> engine whose version a release states."""
+
+
+@dataclass(frozen=True, slots=True)
+class Released:
+    """A release beside the earlier recordings.
+
+    Attributes:
+        release: the newest valid release.
+        number: its number if the earlier recordings are files of it, else None.
+        notes: recordings that are missing or have another digest, and changed engines.
+        changes: changed files of the model.
+    """
+
+    release: Release
+    number: int | None
+    notes: tuple[str, ...]
+    changes: tuple[str, ...]
+
+
+def released_beside(model: Path, before: Sequence[Path]) -> Released | None:
+    """The newest valid release of a twin; None for another model or without a release.
+
+    Args:
+        model: the file of MODEL.
+        before: earlier recordings.
+
+    Raises:
+        ReleaseError, PathError: the keys or a file of the twin cannot be read.
+    """
+    root = model.parent
+    if model.name != FILE_NAME or not (root / RELEASES).is_dir():
+        return None
+    found = baseline(root).release
+    if found is None:
+        return None
+    entries = {place_of(e) or e.name: e for e in (*found.files, *found.external)}
+    recordings = {p: e for p, e in entries.items() if Path(p).suffix in _RECORDINGS}
+    digests = {e.sha256 for e in recordings.values()}
+    by_name = {Path(p).name: p for p in recordings}
+    notes, proved = list[str](), 0
+    for path in before:
+        if not path.is_file():
+            continue
+        if file_sha256(path) in digests:
+            proved += 1
+        elif path.name in by_name:
+            notes.append(
+                f"{path.name} is not the recording that proved release {found.number}: its digest "
+                "differs; it is compared as a recording of its own"
+            )
+    changed = changed_files(root, found)
+    notes += [
+        f"{c.path}, which proved release {found.number}, "
+        f"{'is missing' if c.before is None else 'was replaced: its digest differs'}"
+        for c in changed if c.path in recordings
+    ]  # fmt: skip
+    notes += engine_notes(found)
+    models = tuple(
+        c.path for c in changed if c.path not in recordings and not c.path.startswith("golden/")
+    )
+    return Released(found, found.number if proved == len(before) else None, tuple(notes), models)
+
+
+def engine_notes(found: Release) -> list[str]:
+    """A line for each engine whose version is another one than at the release."""
+    notes = []
+    for name, engine in _ENGINES.items():
+        then = found.environment.get(name)
+        try:
+            now = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            now = "not installed"
+        if then not in (None, now):
+            unproven = sorted(found.goldens)
+            notes.append(
+                f"{engine} {then} at release {found.number}, {now} now: "
+                f"{len(unproven)} goldens are not proven with it, such as {unproven[0]}"
+                if unproven else f"{engine} {then} at release {found.number}, {now} now"
+            )  # fmt: skip
+    return notes
+
+
+def model_changes(
+    model: Path, released: Released, folder: Path, sandbox: Sandbox, request: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Changed parts of the model with their share of the earlier recordings' error.
+
+    Args:
+        model: ``twin.yaml`` of today.
+        folder: empty folder for the copy of the release.
+        request: ``recordings``, ``topics`` and ``options`` of the comparison.
+
+    Raises:
+        TwinError: the release or a recording cannot be used.
+    """
+    if not released.changes:
+        return []
+    number = released.release.number
+    copy_files(released.release, model.parent / RELEASES / f"{number:04d}", folder)
+    found: list[dict[str, Any]] = sandbox.call(
+        "pytest_twin.changes.model_side:model_changes",
+        {"today": str(model), "released": str(folder / FILE_NAME), **request},
+    )
+    return found
