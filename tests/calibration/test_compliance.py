@@ -70,7 +70,7 @@ def note_of(document: dict) -> str:
 
 
 def test_the_intervals_of_an_arm_that_bends_contain_the_true_camera() -> None:
-    """Without the test, 0.7 of them did: the camera was up to 6 mm off."""
+    """Without the test, 69 % of those of twelve other arms did: the camera was up to 6 mm off."""
     inside = []
     for seed in range(6):
         document, truth = calibrated(seed, 1.0 / ARM_STIFFNESS)
