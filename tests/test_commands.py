@@ -191,7 +191,7 @@ JSON_COMMANDS = {
 TESTED_ELSEWHERE = (
     "diagnose", "calibrate", "excite", "identify", "budget", "randomize", "verify",
     "stamp", "fresh", "shadow", "rollback", "completion", "demo", "check-dataset", "audit-changes",
-    "export", "servo",
+    "export", "servo", "trend",
 )  # fmt: skip
 """Commands with tests of their JSON beside the others of the command."""
 

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
         "model", metavar="TWIN", type=Path, nargs="?",
-        help="twin.yaml, or an MJCF or URDF file; events: in twin.yaml states changes of the robot",
+        help="twin.yaml or its folder",
     )  # fmt: skip
     parser.add_argument(
         "recordings", metavar="RECORDING", type=Path, nargs="*",
