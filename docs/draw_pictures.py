@@ -31,6 +31,11 @@ QUESTIONS = (
         ("Which physics is missing?", "diagnose"),
         ("What changed since May?", "diagnose --before"),
     )),
+    ("A finding", (
+        ("Which motion confirms it?", "excite --separate"),
+        ("Since when is it so?", "trend"),
+        ("How does Newton get it?", "export"),
+    )),
     ("Time at the robot", (
         ("Which motions do I record?", "excite"),
         ("Where are zeros, tool, camera?", "calibrate"),
