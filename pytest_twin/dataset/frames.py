@@ -21,9 +21,10 @@ _MISSING = 1.5
 """Periods. A longer interval lacks a frame."""
 _FAST = math.radians(1.0)
 """rad per frame, over all joints. Slower motion shows no lost frame."""
-_ALONG, _TWICE = 0.985, 1.7
+_ALONG, _BETWEEN, _TWICE = 0.985, 1.3, 1.7
 """Cosine of the angle to the motion before and after, and ratio of sizes, of a step over a lost
-frame. A joint cannot double its speed for one frame and then have its old speed."""
+frame. A joint cannot double its speed for one frame and then have its old speed. Steps between the
+two ratios are no lost frames."""
 _STEADY = 0.35
 """Largest difference between the motion before and after such a step, relative to their sum."""
 _FEWEST = 3
@@ -139,7 +140,7 @@ def hidden_losses(
         numbers: number of each episode.
     """
     skipped, repeated = [], []
-    in_motion = 0
+    in_motion = between = 0
     for time, state, number in zip(times, states, numbers, strict=True):
         steps = np.diff(state, axis=0)
         size = np.linalg.norm(steps, axis=1)
@@ -156,11 +157,14 @@ def hidden_losses(
             steady = np.linalg.norm(after - before, axis=1) / (2.0 * length) < _STEADY
         intervals = np.diff(time)
         regular = intervals[1:-1] < _MISSING * float(np.median(intervals))
-        skips = moving & regular & steady & (ratio > _TWICE) & (cosine > _ALONG)
-        skipped += [number] * int(skips.sum())
+        along = moving & regular & steady & (cosine > _ALONG)
+        skipped += [number] * int((along & (ratio > _TWICE)).sum())
+        between += int((along & (ratio > _BETWEEN) & (ratio <= _TWICE)).sum())
         repeated += [number] * int((moving & (size[1:-1] == 0.0)).sum())
     findings = []
-    if len(skipped) >= _FEWEST:
+    # A lost frame doubles a step, and nothing makes it half as much longer. Jerky motion has more
+    # steps that are a little longer than steps of twice the length.
+    if len(skipped) >= _FEWEST and len(skipped) > between:
         findings.append(Finding(
             "dropped_frames",
             f"{len(skipped)} steps of the whole arm are about twice as long as those before and "

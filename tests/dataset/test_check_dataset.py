@@ -15,6 +15,7 @@ import pytest
 from demonstrations import COUNT, FPS, Episode, calibration, demonstrations, write
 
 from pytest_twin import cli
+from pytest_twin.dataset.frames import hidden_losses
 from pytest_twin.formats.schema import load_schema
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
@@ -208,6 +209,17 @@ def test_lost_frames_under_regular_stamps_are_found(tmp_path: Path) -> None:
     _, document = check(write(tmp_path / "set", demonstrations(change=lose)))
     assert found(document) == {("dropped_frames", None)}
     assert "although the stamps are regular" in document["findings"][0]["text"]
+
+
+def test_jerky_motion_without_lost_frames_is_not_taken_for_one_with_them() -> None:
+    random = np.random.default_rng(1)
+    time = np.arange(6000) / 50.0
+    # Steps along one direction whose length changes from frame to frame, as under random commands.
+    steps = np.abs(1.0 + 0.35 * random.standard_normal(len(time)))[:, None] * [0.03, 0.02, 0.01]
+    assert hidden_losses([time], [np.cumsum(steps, axis=0)], [0]) == []
+    lost = np.delete(np.cumsum(np.full((6000, 3), 0.02), axis=0), np.arange(100, 1000, 100), axis=0)
+    (finding,) = hidden_losses([time[: len(lost)]], [lost], [0])
+    assert finding.code == "dropped_frames"
 
 
 def test_a_clock_at_another_rate_is_found(tmp_path: Path) -> None:
