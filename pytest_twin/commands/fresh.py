@@ -17,6 +17,7 @@ from pytest_twin.gate.asset_chain import chain_of, changes_since, lost_manifests
 from pytest_twin.provenance.released_files import copy_release, release_folder
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
+from pytest_twin.release.environment import engine_changes
 from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, load_twin
 from pytest_twin.words import counted
@@ -83,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         "release": stated.number,
         "newest": None if newest is None else int(newest.name),
         **document,
+        "engines": engine_changes(stated),
         "asset": [
             *changes_since(stated, chain),
             *(f"asset: {p}" for p in (*chain.problems, *lost_manifests(stated, chain, twin))),
@@ -120,7 +122,7 @@ def _words(document: dict[str, Any]) -> list[str]:
     if not changes:
         unchanged = "no model, calibration or fit" if document["asset"] else "nothing"
         lines.append(f"  {unchanged} has changed in the twin since")
-    lines += [f"  {line}" for line in document["asset"]]
+    lines += [f"  {line}" for line in (*document["asset"], *document["engines"])]
     for title, some in (("matters", matter), ("does not matter", changes)):
         for one in some:
             if title == "does not matter" and one["matters"]:

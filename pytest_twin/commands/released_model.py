@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release.check import baseline
+from pytest_twin.release.environment import engine_changes
 from pytest_twin.release.folder import RELEASES
 from pytest_twin.release.restore import copy_files, place_of
 from pytest_twin.release.rollback import changed_files
@@ -19,8 +19,6 @@ from pytest_twin.twin import FILE_NAME
 
 _RECORDINGS = (".mcap", ".db3", ".csv", ".parquet")
 """Endings of recordings."""
-_ENGINES = {"mujoco": "MuJoCo", "pin": "Pinocchio"}
-"""Distribution -> engine whose version a release states."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,30 +75,11 @@ def released_beside(model: Path, before: Sequence[Path]) -> Released | None:
         f"{'is missing' if c.before is None else 'was replaced: its digest differs'}"
         for c in changed if c.path in recordings
     ]  # fmt: skip
-    notes += engine_notes(found)
+    notes += engine_changes(found)
     models = tuple(
         c.path for c in changed if c.path not in recordings and not c.path.startswith("golden/")
     )
     return Released(found, found.number if proved == len(before) else None, tuple(notes), models)
-
-
-def engine_notes(found: Release) -> list[str]:
-    """A line for each engine whose version is another one than at the release."""
-    notes = []
-    for name, engine in _ENGINES.items():
-        then = found.environment.get(name)
-        try:
-            now = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            now = "not installed"
-        if then not in (None, now):
-            unproven = sorted(found.goldens)
-            notes.append(
-                f"{engine} {then} at release {found.number}, {now} now: "
-                f"{len(unproven)} goldens are not proven with it, such as {unproven[0]}"
-                if unproven else f"{engine} {then} at release {found.number}, {now} now"
-            )  # fmt: skip
-    return notes
 
 
 def model_changes(

@@ -17,6 +17,7 @@ from pytest_twin.gate.coverage import Gap, gaps
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
 from pytest_twin.release.envelope import short_key_id
+from pytest_twin.release.environment import engine_changes
 from pytest_twin.release.folder import RELEASES
 from pytest_twin.release.rollback import changed_files
 from pytest_twin.release.stamp import StampVerdict
@@ -78,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
         verdict = replace(verdict, problems=(*verdict.problems, *_stale_records(twin_file)))
     proofs = [] if verdict.release is None else verdict.release.goldens.values()
     untested = gaps([proof.outcome for proof in proofs])
+    engines = [] if verdict.release is None else engine_changes(verdict.release)
     json_output.give(
         args,
         verdict.to_json()
@@ -85,9 +87,10 @@ def run(args: argparse.Namespace) -> int:
             "path": str(folder),
             "not_tested": [gap.sentence for gap in untested],
             "changed_since": differences,
+            "engines": engines,
         },
     )
-    show(_words(verdict, folder, untested, differences))
+    show("\n".join((_words(verdict, folder, untested, differences), *(f"  {e}" for e in engines))))
     return HOLDS if verdict.holds else DOES_NOT_HOLD
 
 

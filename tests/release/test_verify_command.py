@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from datetime import UTC, datetime
+from importlib import metadata
 from pathlib import Path
 
 import jsonschema
@@ -60,6 +61,19 @@ def test_files_of_the_twin_that_changed_since_its_release_are_named(
     assert json.loads(document.read_text())["changed_since"] == [model.name]
     assert cli.main(["verify", str(twin_with_two_releases / "releases" / "0002")]) == 0
     assert "changed since" not in capsys.readouterr().out
+
+
+def test_goldens_that_another_engine_leaves_unproven_are_named(
+    twin_with_two_releases: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(metadata, "version", lambda name: "99.0")
+    document = twin_with_two_releases.parent / "verdict.json"
+    assert cli.main(["verify", str(twin_with_two_releases), "--json", str(document)]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert "99.0 here: 1 golden not proven with it, such as" in line
+    assert json.loads(document.read_text())["engines"][-1] == line.strip()
 
 
 def test_an_invalid_release_prints_the_reason_and_exits_with_1(
