@@ -11,12 +11,12 @@ from pytest_twin.commands import json_output
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP, recording_options
-from pytest_twin.commands.released_model import model_changes, released_beside
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REPORT_FILE
+from pytest_twin.gate.released_model import model_changes, released_beside
 from pytest_twin.loaded_model import find_model
 from pytest_twin.report import changes
 from pytest_twin.report.text import printable

@@ -17,6 +17,7 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.gate import Gate, Progress
+from pytest_twin.gate.since_release import since_release
 from pytest_twin.golden import Golden
 from pytest_twin.interrupts import stop_on_interrupt
 from pytest_twin.realization.sandbox import Sandbox
@@ -96,7 +97,29 @@ def _diagnose_realization(
     except (TwinError, OSError) as error:
         text = f"no diagnosis of {realization}: {' '.join(str(error).split())}"
         return RealizationDiagnosis(realization, goldens, None, (printable(text),))
+    # What changed since the release comes before what any model would lack.
+    lines = (*lines[:1], *_since_release(gate, realization, recordings), *lines[1:])
     return RealizationDiagnosis(realization, goldens, report, lines)
+
+
+def _since_release(gate: Gate, realization: str, failed: list[RecordingRef]) -> tuple[str, ...]:
+    """Lines on what changed since the newest release, as ``diagnose --before`` says it."""
+    if realization != gate.twin.first_realization.name:
+        return ()
+    try:
+        with (
+            temporary_folder() as scratch,
+            stop_on_interrupt() as stop,
+            Sandbox(
+                seconds=_SECONDS, cwd=scratch, untrusted=gate.runner.untrusted, stop=stop
+            ) as sandbox,
+        ):
+            paths = [Path(path) for path in dict.fromkeys(path for path, _ in failed)]
+            folder = gate.root / FOLDER / f"{realization}_since_release"
+            return tuple(map(printable, since_release(gate.twin, paths, folder, sandbox)))
+    except (TwinError, OSError) as error:
+        text = f"not compared with the release: {' '.join(str(error).split())}"
+        return (printable(text),)
 
 
 def _recording(gate: Gate, golden: Golden) -> RecordingRef:

@@ -13,7 +13,10 @@ import pytest
 from pytest_twin import release
 from pytest_twin.changes.model_side import model_changes
 from pytest_twin.cli import main
-from pytest_twin.commands.released_model import released_beside
+from pytest_twin.gate import since_release as since
+from pytest_twin.gate.released_model import released_beside
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.twin import load_twin
 
 sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
 sys.path.append(str(Path(__file__).parents[1] / "release"))
@@ -119,3 +122,20 @@ def test_another_engine_leaves_goldens_unproven(
     (note,) = [n for n in found.notes if n.startswith("MuJoCo")]
     assert "99.0 here" in note
     assert "not proven with it" in note
+
+
+def test_a_failing_run_says_whether_the_model_or_the_robot_changed(
+    twin: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(since, "_SECONDS", 8.0)
+    folder = tmp_path / "since"
+    new = record(twin / "recordings" / "new.mcap", 20, seconds=1.2, joints=JOINTS)
+    old = twin / "recordings" / "old0.mcap"
+    with Sandbox() as sandbox:
+        lines = since.since_release(load_twin(twin / "twin.yaml"), [new], folder, sandbox)
+        assert lines[0] == "compared with the 4 recordings that proved release 1:"
+        assert json.loads((folder / "diagnosis.json").read_text())["before"]["release"] == 1
+        edit(twin, f'mass="{MASS}"', f'mass="{1.07 * MASS:g}"')
+        lines = since.since_release(load_twin(twin / "twin.yaml"), [old], folder, sandbox)
+    assert lines[0] == "old0.mcap proved release 1: the robot is as it was then"
+    assert lines[1].startswith("Changed in the model since the release: mass left_link")

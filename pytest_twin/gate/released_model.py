@@ -14,7 +14,7 @@ from pytest_twin.release.environment import engine_changes
 from pytest_twin.release.folder import RELEASES
 from pytest_twin.release.restore import copy_files, place_of
 from pytest_twin.release.rollback import changed_files
-from pytest_twin.release.statement import Release
+from pytest_twin.release.statement import FileEntry, Release
 from pytest_twin.twin import FILE_NAME
 
 _RECORDINGS = (".mcap", ".db3", ".csv", ".parquet")
@@ -54,8 +54,7 @@ def released_beside(model: Path, before: Sequence[Path]) -> Released | None:
     found = baseline(root).release
     if found is None:
         return None
-    entries = {place_of(e) or e.name: e for e in (*found.files, *found.external)}
-    recordings = {p: e for p, e in entries.items() if Path(p).suffix in _RECORDINGS}
+    recordings = _recordings_of(found)
     digests = {e.sha256 for e in recordings.values()}
     by_name = {Path(p).name: p for p in recordings}
     notes, proved = list[str](), 0
@@ -80,6 +79,26 @@ def released_beside(model: Path, before: Sequence[Path]) -> Released | None:
         c.path for c in changed if c.path not in recordings and not c.path.startswith("golden/")
     )
     return Released(found, found.number if proved == len(before) else None, tuple(notes), models)
+
+
+def reference_recordings(root: Path, released: Release, folder: Path) -> list[Path]:
+    """Recordings that proved a release: its copies, else unchanged files of the twin.
+
+    Args:
+        root: folder of the twin.
+        folder: copy of the release's files.
+    """
+    found = []
+    for place, entry in _recordings_of(released).items():
+        candidates = (folder / place, root / place)
+        found += [p for p in candidates if p.is_file() and file_sha256(p) == entry.sha256][:1]
+    return found
+
+
+def _recordings_of(released: Release) -> dict[str, FileEntry]:
+    """Path in the twin's folder -> entry of each recording of a release."""
+    entries = {place_of(e) or e.name: e for e in (*released.files, *released.external)}
+    return {p: e for p, e in entries.items() if Path(p).suffix in _RECORDINGS}
 
 
 def model_changes(

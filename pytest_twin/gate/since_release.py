@@ -1,0 +1,114 @@
+"""What changed since the newest release, where a golden fails against its recording.
+
+A recording that proved the release is old: if it fails now, the model changed, not the robot. A new
+recording is compared with those that proved the release.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.formats import atomic, results
+from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.temporary import temporary_folder
+from pytest_twin.gate.released_model import (
+    Released,
+    model_changes,
+    reference_recordings,
+    released_beside,
+)
+from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.release.folder import RELEASES
+from pytest_twin.release.restore import copy_files
+from pytest_twin.report import changes
+from pytest_twin.twin import Twin
+from pytest_twin.words import counted, list_names
+
+_SECONDS = 120.0
+"""Limit of a comparison by simulation, s of processor time. By measured effort it takes one."""
+_LEVEL = 0.05
+"""Probability of an alarm if nothing changed."""
+
+
+def since_release(
+    twin: Twin, failed: Sequence[Path], folder: Path, sandbox: Sandbox
+) -> tuple[str, ...]:
+    """Return lines for the terminal; none without a valid release that has recordings.
+
+    Args:
+        failed: recordings of the failed goldens.
+        folder: folder in the form of ``diagnose --before``, written if a recording is new.
+
+    Raises:
+        TwinError: the release or a recording cannot be used.
+    """
+    released = released_beside(twin.path, failed)
+    if released is None:
+        return ()
+    number = released.release.number
+    with temporary_folder() as scratch:
+        copy = Path(scratch) / "released"
+        copy.mkdir()
+        copy_files(released.release, twin.path.parent / RELEASES / f"{number:04d}", copy)
+        references = reference_recordings(twin.path.parent, released.release, copy)
+        digests = {file_sha256(path) for path in references}
+        old = [path for path in failed if path.is_file() and file_sha256(path) in digests]
+        new = [path for path in failed if path.is_file() and path not in old]
+        lines: tuple[str, ...] = ()
+        if old:
+            lines += _of_model(twin, released, old, sandbox)
+        if new and references:
+            lines += _of_robot(twin, number, new, references, folder, sandbox)
+    return lines
+
+
+def _of_model(
+    twin: Twin, released: Released, old: Sequence[Path], sandbox: Sandbox
+) -> tuple[str, ...]:
+    """Old recordings fail: which part of the model makes the error?"""
+    names = list_names([path.name for path in old])
+    with temporary_folder() as scratch:
+        found = model_changes(
+            twin.path, released, Path(scratch), sandbox,
+            {"recordings": [str(path) for path in old], "topics": {}, "options": {}},
+        )  # fmt: skip
+    return (
+        f"{names} proved release {released.release.number}: the robot is as it was then",
+        *changes.model_lines({"model_changes": found}),
+        *released.notes,
+    )
+
+
+def _of_robot(
+    twin: Twin,
+    number: int,
+    new: Sequence[Path],
+    references: Sequence[Path],
+    folder: Path,
+    sandbox: Sandbox,
+) -> tuple[str, ...]:
+    """New recordings fail: what changed in the robot since those of the release?"""
+    document: dict[str, Any] = sandbox.call(
+        "pytest_twin.changes.compare_files:compare_files",
+        {
+            "request": {
+                "model": str(twin.path),
+                "before": [str(path) for path in references],
+                "new": [str(path) for path in new],
+                "level": _LEVEL,
+                "release": number,
+                "seconds": _SECONDS,
+            }
+        },
+    )
+    with results.result_folder(folder, "diagnosis.json") as staging:
+        atomic.write_text(staging / "diagnosis.json", json.dumps(document, indent=2) + "\n")
+        atomic.write_text(staging / "report.html", changes.render(document))
+    return (
+        f"compared with the {counted(len(references), 'recording')} that proved release {number}:",
+        *changes.words(document),
+        f"report: {folder / 'report.html'}",
+    )
