@@ -84,7 +84,10 @@ def run(args: argparse.Namespace) -> int:
             )  # fmt: skip
         return fleet.run(args, arguments, TASK)
     if args.model is None or not args.recordings:
-        raise TwinError("no model or no recording", expected="TWIN and at least one RECORDING")
+        raise TwinError(
+            "no model or no recording", where="TWIN RECORDING...",
+            expected="TWIN and at least one RECORDING",
+        )  # fmt: skip
     fleet.refuse_alone(args)
     progress = Progress("following")
     with progress.stopping_early("the recordings that were read are followed") as stop, progress:
