@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from pytest_twin.realization.engine import SETPOINT_BITS
+from pytest_twin.realization.engine import HAS_CONTROL_INPUTS, SETPOINT_BITS, set_to_pid
 from pytest_twin.trial import CommandMode
 
 _BITS = dict(SETPOINT_BITS)
@@ -53,6 +53,8 @@ def write_drive(
     Returns:
         Name of the MJCF element, or None if MuJoCo has no actuator with this law.
     """
+    if not HAS_CONTROL_INPUTS:
+        return None
     gain, damping = float(actuator.gainprm[0]), -float(actuator.biasprm[2])
     force_range = np.array(actuator.forcerange)
     is_limited = actuator.forcelimited != mujoco.mjtLimited.mjLIMITED_FALSE and (
@@ -70,10 +72,8 @@ def write_drive(
     kp = gain if is_servo else 0.0
     ki = kp / law.integral_time if law.integral_time > 0.0 else 0.0
     if not needs_motor:
-        if not hasattr(actuator, "set_to_pid"):
-            return None
-        actuator.set_to_pid(
-            kp=kp, kv=damping, ki=ki if ki else -1.0,
+        set_to_pid(
+            actuator, kp=kp, kv=damping, ki=ki if ki else -1.0,
             slewmax=law.slew if law.slew > 0.0 else -1.0, ctrlspec=_BITS[mode],
         )  # fmt: skip
         actuator.biasprm[0] = constant

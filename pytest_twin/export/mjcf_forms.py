@@ -21,6 +21,7 @@ from pytest_twin.export.drive import DriveLaw, write_drive
 from pytest_twin.export.expression import Expression
 from pytest_twin.export.losses import LOSSES
 from pytest_twin.export.motor_side import MotorJoint, Transmission, add_motor_side
+from pytest_twin.realization.engine import HAS_CONTROL_INPUTS, NO_INPUT
 from pytest_twin.trial import CommandMode
 
 READING = "_reading"
@@ -123,6 +124,9 @@ class MjcfExporter:
         if self.for_mjx and effect.effect in _NOT_IN_MJX:
             self._note(effect, self._without_mjx(effect))
             return
+        if not HAS_CONTROL_INPUTS and _NOT_IN_MJX.get(effect.effect) == _MJX:
+            self._note(effect, _lost(effect, _OLD))
+            return
         if effect.is_in_mjcf:
             self._note(effect, Form(effect.written or "already in the model"))
             return
@@ -204,7 +208,7 @@ class MjcfExporter:
         actuator.set_to_dcmotor(
             motorconst=[0.0, 0.0], resistance=1.0,
             cogging=list(cogging) or [0.0] * 3, lugre=list(lugre) or [0.0] * 5,
-            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
+            ctrlspec=NO_INPUT,
         )  # fmt: skip
 
     def constant(self, joint: str, effort: float) -> str:
@@ -421,7 +425,7 @@ def _offset(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
 
 def _spring(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
     assert effect.joint is not None
-    if effect.values["stiffness"] != 0.0 or x.for_mjx:
+    if effect.values["stiffness"] != 0.0 or x.for_mjx or not HAS_CONTROL_INPUTS:
         return _lost(effect, "MJCF joints have no negative stiffness, and no effort without one")
     return Form(x.constant(effect.joint, effect.values["preload"]))
 
@@ -484,6 +488,7 @@ def _directional(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
 
 
 _MJX = "MJX has neither pid nor dcmotor"
+_OLD = f"MuJoCo {mujoco.__version__} has no motor without input: 3.12 or newer has"
 _STEPS = "MJX has no delay lines: hold commands for this time in the environment"
 _NOT_IN_MJX: Mapping[str, str] = {
     timing.CommandDelay.id: _STEPS,

@@ -52,6 +52,15 @@ SETPOINT_BITS: tuple[tuple[CommandMode, int], ...] = (
     ("effort", max(0, _member("mjtCtrlInput", "mjINPUT_FF"))),
 )
 """Quantity of a setpoint -> its bit in ``actuator_ctrlspec``; 0 before MuJoCo 3.12."""
+NO_INPUT = max(0, _member("mjtCtrlInput", "mjINPUT_NONE"))
+"""``actuator_ctrlspec`` of an actuator without input."""
+HAS_CONTROL_INPUTS = hasattr(mujoco, "mjtCtrlInput")
+"""Whether a ``dcmotor`` states its inputs, or has none, and there is a ``pid``."""
+
+
+def set_to_pid(actuator: mujoco.MjsActuator, **fields: Any) -> None:
+    """Make an actuator a ``pid``; only with :data:`HAS_CONTROL_INPUTS`."""
+    actuator.set_to_pid(**fields)
 
 
 def _tendon_type(model: mujoco.MjModel) -> NDArray[np.int64]:
