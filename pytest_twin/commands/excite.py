@@ -22,14 +22,16 @@ from pytest_twin.words import counted, list_names
 EXAMPLES = (
     "pytest-twin excite twin.yaml --out excitation/",
     "pytest-twin excite cell/twin.yaml --out excitation/ --seed 7 --json -",
+    "pytest-twin excite twin.yaml --check --out check/",
     "pytest-twin excite twin.yaml --separate backlash@elbow,dead_zone@elbow --out excitation/",
 )
 EXIT_STATUS = {
     0: (
         "all requested parameters are identifiable by motions within the approved limits; with "
-        "--separate: a motion is expected to decide between the hypotheses with 0.9"
+        "--separate: a motion is expected to decide between the hypotheses with 0.9; with --check: "
+        "so it does between all effects"
     ),
-    1: "a parameter is not identifiable, no motion decides, or none is safe",
+    1: "a parameter is not identifiable, no motion decides, effects stay alike, or none is safe",
 }
 IDENTIFIABLE, NOT_IDENTIFIABLE = 0, 1
 FILE_NAME, ABORT_NAME, PAGE_NAME = "excitation.json", "abort.json", "excitation.html"
@@ -68,6 +70,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="with --separate: take parameters, joints and noise from the diagnosis in this folder",
     )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="choose one motion under a minute along which the effects can be distinguished, to be "
+        "recorded at every release",
+    )
     add_seconds(parser, 0.0, "the safe motions so far are written, and the other designs are named")
     model_files.add_arguments(parser)
 
@@ -80,6 +88,8 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.diagnosis is not None and args.separate is None:
         raise TwinError("only with --separate", where="--diagnosis", expected="--separate A,B")
+    if args.check and args.separate is not None:
+        raise TwinError("not with --separate", where="--check", expected="one of both")
     model = str(find_model(args.model))
     out: Path = args.out
     progress = Progress("designing motions")
@@ -98,8 +108,7 @@ def run(args: argparse.Namespace) -> int:
             page = excitation.render(document, abort, designed["drawn"])
             atomic.write_text(staging / PAGE_NAME, page)
         json_output.give(args, document)
-        words = _words(document, out) if args.separate is None else _separation(document, out)
-        show("\n".join(printable(line) for line in words))
+        show("\n".join(printable(line) for line in _summary(args, document, out)))
         complete = document["verdict"] in ("identifiable", "separable")
         return IDENTIFIABLE if complete else NOT_IDENTIFIABLE
 
@@ -107,6 +116,8 @@ def run(args: argparse.Namespace) -> int:
 def _design(args: argparse.Namespace, model: str, staging: Path) -> tuple[str, dict[str, Any]]:
     """The function of the child that designs the motions, and its arguments."""
     given = {"model": model, "out": str(staging), "seed": args.seed, "seconds": args.seconds}
+    if args.check:
+        return "pytest_twin.excitation.check_motion:check_file", given
     if args.separate is None:
         return "pytest_twin.excitation.excite:excite_file", given
     diagnosis = None if args.diagnosis is None else str(args.diagnosis.absolute())
@@ -118,6 +129,12 @@ def _seed(word: str) -> int:
     if not word.isdigit() or len(word) > 6:
         raise argparse.ArgumentTypeError(f"{word!r} is not a seed (expected 0 to 999999)")
     return int(word)
+
+
+def _summary(args: argparse.Namespace, document: dict[str, Any], out: Path) -> list[str]:
+    if args.check:
+        return _check(document, out)
+    return _words(document, out) if args.separate is None else _separation(document, out)
 
 
 def _words(document: dict[str, Any], out: Path) -> list[str]:
@@ -162,6 +179,23 @@ def _separation(document: dict[str, Any], out: Path) -> list[str]:
     usual = separation["usual_motion"]
     if usual is not None:
         lines.append(f"  without hypotheses, the best is {usual['trajectory']}: {_chance(usual)}")
+    return [*lines, *_refusals(document), *_notes(document, out)]
+
+
+def _check(document: dict[str, Any], out: Path) -> list[str]:
+    check, motions = document["check"], document["trajectories"]
+    lines = [
+        f"Check motion: {check['separated']} of {counted(check['pairs'], 'pair')} of effects told "
+        f"apart by {check['signals']} within the limits approved by {document['approved_by']}"
+    ]
+    lines += [f"  {one['name']}: {one['duration']['value']:.3g} s" for one in motions]
+    alike = [" and ".join(one["names"]) for one in check["not_separated"]]
+    for what, names in (
+        ("not distinguished", alike), ("not shown", [one["name"] for one in check["not_shown"]]),
+    ):  # fmt: skip
+        lines += [f"! {what}: {name}" for name in names[:_MOST_LINES]]
+        if len(names) > _MOST_LINES:
+            lines.append(f"! {what}: {len(names) - _MOST_LINES} more are in {FILE_NAME}")
     return [*lines, *_refusals(document), *_notes(document, out)]
 
 

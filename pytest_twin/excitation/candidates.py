@@ -8,11 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.excitation import d_optimal
 from pytest_twin.excitation.approved_limits import ApprovedLimits
-from pytest_twin.excitation.designs import single_joint_designs
+from pytest_twin.excitation.approved_robot import ApprovedRobot
+from pytest_twin.excitation.designs import several_joint_designs, single_joint_designs
 from pytest_twin.excitation.fourier import REST
-from pytest_twin.excitation.motion import Design, JointStates, Path, Role
+from pytest_twin.excitation.motion import Design, JointStates, Motion, Path, Role
+from pytest_twin.excitation.safety import check_commands
+from pytest_twin.time_limit import is_over
 
 KIND = "moves"
 _SERIES = 3
@@ -21,12 +25,20 @@ _MOVES = 6
 """Number of random sequences of moves."""
 _SLOWEST = 0.02
 """Slowest move as a share of the approved speed: dry friction shows at low speeds."""
+_REVERSED = (1.0, 0.5, 0.2, 0.1, 0.05)
+"""Speeds of reversals of all joints, as shares of the fastest move."""
+_REACHES = (0.2, 0.35, 0.5, 0.5)
+"""Distances from the start that reversals of all joints reach, as shares of the approved range."""
 _LONGEST_REST = 1.0
 """Longest rest between two moves, s."""
 _MOST_MOVES = 200
 """Largest number of moves of one motion."""
 _RENEWED = 0.3
 """Share of the moves that a variant draws again."""
+_VARIED, _VARIANTS = 3, 4
+"""Number of moves that are varied in a round, and of the variants of each."""
+_SMALL = 0.3
+"""Amplitude of motions that are compared if none keeps the limits with its full amplitude."""
 _SPREAD = 0.2
 """Standard deviation of a changed target, relative to the approved range, and of the logarithm of a
 changed speed."""
@@ -65,6 +77,20 @@ class Moves:
         share = np.exp(random.uniform(np.log(_SLOWEST), 0.0, count))
         rest = random.uniform(0.0, _LONGEST_REST, count) * (random.random(count) < 0.5)
         return cls(target, share, rest)
+
+    @classmethod
+    def reversals(cls, random: np.random.Generator, start: FloatArray, reach: float) -> Moves:
+        """Reversals of all joints at once about the start; slower ones are smaller.
+
+        Args:
+            start: (j,) start as a share of the approved range.
+            reach: largest distance from the start, as a share of the approved range.
+        """
+        signs = random.choice((-1.0, 1.0), len(start))
+        share = np.repeat(_REVERSED, 2)
+        side = np.tile((1.0, -1.0), len(_REVERSED))
+        target = np.clip(start + reach * (share * side)[:, None] * signs, 0.0, 1.0)
+        return cls(target, share, np.zeros(len(share)))
 
     def varied(self, random: np.random.Generator, moved: Sequence[int]) -> Moves:
         """Return the moves with some targets, speeds and rests changed."""
@@ -142,13 +168,87 @@ def candidates(
                               lambda scale, seed, c=coefficients: optimal.drawn(c, scale), seed))
         )  # fmt: skip
     random = np.random.default_rng(seed)
-    lower, upper = approved.room
-    start = (approved.start - lower) / (upper - lower)
+    start = _start(approved)
     for number in range(_MOVES):
         which = list(moved) if number % 2 == 0 else range(len(approved.names))
         moves = Moves.drawn(random, start, list(which))
         found.append(of_moves(f"{KIND}_{number + 1}", approved, moves, seed))
     return found
+
+
+def whole_robot_candidates(robot: ApprovedRobot) -> list[Candidate]:
+    """Return motions of all joints: the D-optimal series, reversals, random series and moves.
+
+    A joint at rest would show its laws only by what little the others move it.
+    """
+    approved, seed = robot.approved, robot.seed
+    random = np.random.default_rng(seed)
+    series = several_joint_designs(
+        replace(approved, mechanisms=("inertia",)), robot.regressor, robot.noise.effort,
+        robot.around, (), robot.optimal, seed,
+    )  # fmt: skip
+    found = [Candidate(replace(one, mechanisms=())) for one in series if one.role == "fit"]
+    start = _start(approved)
+    for number, reach in enumerate(_REACHES):
+        moves = Moves.reversals(random, start, reach)
+        found.append(of_moves(f"{KIND}_reversals_{number + 1}", approved, moves, seed))
+    moved = range(len(approved.names))
+    found += candidates(approved, robot.loads, robot.optimal, moved, seed)
+    return [one for one in found if set(one.design.moved) == set(approved.names)]
+
+
+def _start(approved: ApprovedLimits) -> FloatArray:
+    """(j,) start as a share of the approved range."""
+    lower, upper = approved.room
+    return np.asarray((approved.start - lower) / (upper - lower))
+
+
+def varied(
+    best: Sequence[Candidate],
+    approved: ApprovedLimits,
+    moved: Sequence[int],
+    random: np.random.Generator,
+    number: int,
+    seed: int,
+) -> list[Candidate]:
+    """Return variants of the best moves so far.
+
+    Args:
+        best: candidates, the best first.
+        moved: columns of the joints whose targets are changed.
+        number: number of the round, for the names.
+    """
+    parents = [one.moves for one in best if one.moves is not None][:_VARIED]
+    return [
+        of_moves(
+            f"{KIND}_{number + 2}_{i + 1}_{k + 1}", approved, parent.varied(random, moved), seed
+        )
+        for i, parent in enumerate(parents)
+        for k in range(_VARIANTS)
+    ]
+
+
+def within_commands(
+    some: Sequence[Candidate], robot: ApprovedRobot
+) -> tuple[list[Candidate], list[Motion]]:
+    """Return the candidates whose commands keep the limits, and their motions.
+
+    If there is none, smaller motions of all candidates: these may be safe.
+
+    Raises:
+        OutOfTime: the time limit is over.
+    """
+    kept, motions = [], []
+    for candidate in some:
+        if is_over():
+            raise OutOfTime
+        motion = candidate.design.motion(1.0, candidate.design.seed)
+        if check_commands(motion, robot.approved, robot.around).is_safe:
+            kept.append(candidate)
+            motions.append(motion)
+    if not kept:
+        return list(some), [one.design.motion(_SMALL, one.design.seed) for one in some]
+    return kept, motions
 
 
 def of_moves(name: str, approved: ApprovedLimits, moves: Moves, seed: int) -> Candidate:

@@ -64,14 +64,29 @@ class Imitation:
         if not np.isfinite(self.difference).all() or not np.isfinite(self.effect).all():
             return 0.0
         comparison = Comparison.of(self.effect, np.ones(signals), [len(self.effect)], [0], 2)
-        # Both leave the noise of the measurement, whose variance is 1.
-        left = 1.0 + np.mean(self.difference**2, axis=0)
-        return (
-            comparison.log_likelihood(np.ones(signals), NOISE_FLOORS)
-            - comparison.log_likelihood(left, NOISE_FLOORS)
-            - comparison.penalty(Size(1, self.truth.free_count))
-            + comparison.penalty(Size(1, self.rival.free_count))
-        )
+        return expected_log_odds(
+            comparison, np.mean(self.difference**2, axis=0), Size(1, self.truth.free_count),
+            Size(1, self.rival.free_count),
+        )  # fmt: skip
+
+
+def expected_log_odds(
+    comparison: Comparison, difference: FloatArray, truth: Size, rival: Size
+) -> float:
+    """Expected logarithm of the odds of a truth against its imitation, of equal prior odds.
+
+    Args:
+        comparison: noise of 1 and independent samples of the readings.
+        difference: (signals,) mean squared difference, in variances of the noise.
+        truth, rival: their numbers of effects and parameters.
+    """
+    # Both leave the noise of the measurement, whose variance is 1.
+    return (
+        comparison.log_likelihood(np.ones(len(difference)), NOISE_FLOORS)
+        - comparison.log_likelihood(1.0 + difference, NOISE_FLOORS)
+        - comparison.penalty(truth)
+        + comparison.penalty(rival)
+    )
 
 
 @dataclass(frozen=True)

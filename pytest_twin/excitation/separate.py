@@ -12,7 +12,12 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
 from pytest_twin.excitation.approved_robot import ApprovedRobot
-from pytest_twin.excitation.candidates import Candidate, candidates, of_moves
+from pytest_twin.excitation.candidates import (
+    Candidate,
+    candidates,
+    varied,
+    within_commands,
+)
 from pytest_twin.excitation.closed_loop import servo_modes
 from pytest_twin.excitation.discrimination import Separation
 from pytest_twin.excitation.excite import Excitation, write_motions
@@ -24,20 +29,15 @@ from pytest_twin.excitation.hypotheses import (
 )
 from pytest_twin.excitation.motion import Motion, Role
 from pytest_twin.excitation.responses import Noise
-from pytest_twin.excitation.safety import check_commands
 from pytest_twin.excitation.separators import Separator, separator_of
-from pytest_twin.time_limit import is_over, limited, skips
+from pytest_twin.time_limit import limited, skips
 
 DECIDED = 0.9
 """Expected probability from which a motion tells two hypotheses apart."""
 _ROUNDS = 3
 """Number of rounds in which the best random moves are varied."""
-_VARIED, _VARIANTS = 3, 4
-"""Number of moves that are varied in a round, and of the variants of each."""
 _FINALISTS = 4
 """Number of motions whose safety is checked by simulation, the best first."""
-_SMALL = 0.3
-"""Amplitude of motions that are compared if none keeps the limits with its full amplitude."""
 _USUAL = ("steps", "chirp", "reversals", "fourier")
 """Kinds of the motions that ``excite`` designs without hypotheses."""
 
@@ -138,7 +138,10 @@ def separate(
         if skips("varied motions"):
             break
         try:
-            judged += _judged(_varied(judged, robot, moved, random, number), robot, separator)
+            judged.sort(key=lambda one: one.separation.rank, reverse=True)
+            best = [one.candidate for one in judged]
+            some = varied(best, approved, moved, random, number, robot.seed)
+            judged += _judged(some, robot, separator)
         except OutOfTime:
             skips("varied motions")
             break
@@ -157,40 +160,9 @@ def _joints_of(rival: Rival, count: int) -> Sequence[int]:
 
 def _judged(some: Sequence[Candidate], robot: ApprovedRobot, separator: Separator) -> list[Judged]:
     """Candidates whose commands keep the limits, with their separation."""
-    kept, motions = [], []
-    for candidate in some:
-        if is_over():
-            raise OutOfTime
-        motion = candidate.design.motion(1.0, candidate.design.seed)
-        if check_commands(motion, robot.approved, robot.around).is_safe:
-            kept.append(candidate)
-            motions.append(motion)
-    if not kept:
-        # Smaller motions of the same designs may be safe.
-        kept = list(some)
-        motions = [one.design.motion(_SMALL, one.design.seed) for one in some]
+    kept, motions = within_commands(some, robot)
     return [Judged(*each) for each in zip(kept, motions, separator.separations(motions),
                                           strict=True)]  # fmt: skip
-
-
-def _varied(
-    judged: Sequence[Judged],
-    robot: ApprovedRobot,
-    moved: Sequence[int],
-    random: np.random.Generator,
-    number: int,
-) -> list[Candidate]:
-    """Variants of the best moves so far."""
-    best = sorted(judged, key=lambda one: one.separation.rank, reverse=True)
-    parents = [one.candidate.moves for one in best if one.candidate.moves is not None][:_VARIED]
-    return [
-        of_moves(
-            f"moves_{number + 2}_{i + 1}_{k + 1}", robot.approved,
-            parent.varied(random, moved), robot.seed,
-        )
-        for i, parent in enumerate(parents)
-        for k in range(_VARIANTS)
-    ]  # fmt: skip
 
 
 def _of_safe(
@@ -250,6 +222,14 @@ def _document(
         if chosen.usual is None
         else _expected(rivals, chosen.usual.motion.name, chosen.usual.separation),
         "needed": DECIDED,
+        **noise_section(robot, noise),
+        "tried": chosen.tried,
+    }
+
+
+def noise_section(robot: ApprovedRobot, noise: Noise) -> dict[str, Any]:
+    """Return the signals that count, and their noise, as ``excitation.json`` writes them."""
+    return {
         "signals": " and ".join(
             name
             for name, own in (("positions", noise.position), ("efforts", noise.effort))
@@ -262,7 +242,6 @@ def _document(
             }
             for at, joint in enumerate(robot.approved.joints)
         },
-        "tried": chosen.tried,
     }
 
 

@@ -97,7 +97,7 @@ class EffortSeparator:
         Raises:
             SpecError: efforts along a motion do not show one of the hypotheses.
         """
-        recordings = [_followed(motion, self._robot.regressor) for motion in motions]
+        recordings = [followed(motion, self._robot.regressor) for motion in motions]
         if self._along is None:
             band = band_of(recordings)
             self._along = LawsAlong.of(self._robot.realization, recordings, band)
@@ -163,13 +163,8 @@ class EffortSeparator:
 
     def _effort(self, rows: EffortRows, shape: Shape, amplitudes: FloatArray) -> FloatArray:
         """(n, joints) effort of a law, in standard deviations of the noise."""
-        effort = np.zeros((len(rows.time), len(rows.columns)))
-        for column, amplitude in zip(shape.columns.values(), amplitudes, strict=True):
-            for j, columns in enumerate(rows.columns):
-                for at in np.flatnonzero(columns == column):
-                    effort[:, j] += amplitude * rows.matrix[j][:, at]
         assert self.noise.effort is not None
-        return effort / self.noise.effort
+        return effort_of(rows, shape, amplitudes) / self.noise.effort
 
     def _fit(self, rows: EffortRows, target: FloatArray, rival: Rival) -> tuple[Shape, FloatArray]:
         """Shape and amplitudes of a hypothesis whose effort is closest to ``target``."""
@@ -202,6 +197,16 @@ class EffortSeparator:
         scales = self._along.laws.scales
         sizes = [scales.value(p, shape.term.joint) for p in shape.term.parameters]
         return Hypothesis((shape.term,), values / np.array(sizes))
+
+
+def effort_of(rows: EffortRows, shape: Shape, amplitudes: FloatArray) -> FloatArray:
+    """(n, joints) effort of a law with some amplitudes, N*m or N."""
+    effort = np.zeros((len(rows.time), len(rows.columns)))
+    for column, amplitude in zip(shape.columns.values(), amplitudes, strict=True):
+        for j, columns in enumerate(rows.columns):
+            for at in np.flatnonzero(columns == column):
+                effort[:, j] += amplitude * rows.matrix[j][:, at]
+    return effort
 
 
 def separator_of(
@@ -237,7 +242,7 @@ def noise_of_signals(robot: ApprovedRobot, diagnosed: Diagnosed | None) -> Noise
     return Noise(position, np.array(effort))
 
 
-def _followed(motion: Motion, regressor: Regressor) -> MeasuredRecording:
+def followed(motion: Motion, regressor: Regressor) -> MeasuredRecording:
     """The recording of a robot that follows a motion exactly, with the efforts of its model."""
     states = motion.position, motion.velocity, motion.acceleration
     effort = regressor.matrix(*states) @ regressor.prior

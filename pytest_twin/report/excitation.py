@@ -25,6 +25,10 @@ _KIND = {
     "fourier": "Fourier series",
     "moves": "Moves from rest to rest",
 }
+_CHECK_VERDICT = {
+    "separable": "The check motion tells all effects apart",
+    "not_separable": "The check motion leaves effects alike or hidden",
+}
 MARGINS = ("position", "velocity", "acceleration", "effort", "power", "stop", "workspace",
            "clearance")  # fmt: skip
 
@@ -39,6 +43,8 @@ def render(document: Mapping[str, Any], abort: Mapping[str, Any], drawn: Mapping
     """
     style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]
+    if "check" in document:
+        headline = _CHECK_VERDICT[document["verdict"]]
     groups = [
         (words, [one for one in document["trajectories"] if one["kind"] == kind])
         for kind, words in _KIND.items()
