@@ -59,7 +59,7 @@ class PairOdds:
 
     @property
     def rank(self) -> float:
-        """Larger for a better motion: expected number of laws that show and of pairs distinguished."""
+        """Larger for a better motion: expected number of laws and pairs that show."""
         odds = [*self.shown.values(), *self.pairs.values()]
         return float(sum(probability(one) for one in odds))
 

@@ -120,7 +120,8 @@ class OfEfforts:
 
     def __init__(self, robot: ApprovedRobot, terms: Sequence[Term]) -> None:
         self._robot, self._terms = robot, frozenset(terms)
-        self.noise = Noise(None, np.array(robot.noise.effort))
+        self._effort_noise = np.array(robot.noise.effort)
+        self.noise = Noise(None, self._effort_noise)
         self._laws: LawsAlong | None = None
 
     def along(self, motion: Motion) -> LawColumns:
@@ -142,7 +143,7 @@ class OfEfforts:
             # All amplitudes at once are the typical law; each by itself is a direction of its fit.
             parts = [amplitudes] if len(amplitudes) == 1 else [amplitudes, *np.diag(amplitudes)]
             for part in parts:
-                columns.append(effort_of(rows, shape, part) / self.noise.effort)
+                columns.append(effort_of(rows, shape, part) / self._effort_noise)
                 terms.append(shape.term)
                 counts.append(len(shape.columns))
         return _columns(np.array(columns), terms, counts)
