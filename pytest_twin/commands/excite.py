@@ -186,7 +186,8 @@ def _check(document: dict[str, Any], out: Path) -> list[str]:
     check, motions = document["check"], document["trajectories"]
     lines = [
         f"Check motion: {check['separated']} of {counted(check['pairs'], 'pair')} of effects "
-        f"distinguished by {check['signals']} within the limits approved by {document['approved_by']}"
+        f"distinguished by {check['signals']} within the limits approved by "
+        f"{document['approved_by']}"
     ]
     lines += [f"  {one['name']}: {one['duration']['value']:.3g} s" for one in motions]
     alike = [" and ".join(one["names"]) for one in check["not_separated"]]
