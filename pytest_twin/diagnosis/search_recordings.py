@@ -21,6 +21,7 @@ from pytest_twin.diagnosis.prepare import PreparedProblem, discretization_rms
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run, ScoredHypothesis
 from pytest_twin.diagnosis.search.model import Acceptance, Model
+from pytest_twin.diagnosis.search.neighbours import has_given
 from pytest_twin.diagnosis.search.physics import SimulatedPhysics
 from pytest_twin.diagnosis.search.posterior import NamedModel, best_named, posterior
 from pytest_twin.diagnosis.search.report_rules import rejections
@@ -316,6 +317,7 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
         best = best_named(found, _inexpressible, physics.is_possible)
         if best is not found.incumbent.hypothesis:
             found = replace(found, incumbent=_refit(physics, found, best, is_late=is_late))
+        found = _with_special_cases(physics, found, is_late=is_late)
         model = found.incumbent
         fitted, here = _fitted(problem, model), problem.at(model.hypothesis)
         refitted = _refit_without_each(here, fitted, 1 if is_late else _REFIT_ITERATIONS)
@@ -333,6 +335,25 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
     shares = posterior(found, physics.is_possible)
     named = NamedModel(fitted, [f.hypothesis for f in refitted], shares, notes)
     return build_result(physics.prepared, physics.trials, named, found.comparison.candidates)
+
+
+def _with_special_cases(
+    physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool
+) -> SearchOutcome:
+    """The outcome with special cases of all laws that predict no better than these.
+
+    A limit may end the search before it compares them, and a law may have been accepted beside
+    effects that were removed later.
+    """
+    model = found.incumbent
+    for special in physics.special_cases(model.hypothesis):
+        if not has_given(special, physics.given):
+            continue
+        simpler = _refit(physics, found, special, is_late=is_late)
+        refused = physics.refusals(model.hypothesis).keys() - set(special.terms)
+        if refused or not found.is_better(model, simpler):
+            return _with_special_cases(physics, replace(found, incumbent=simpler), is_late=is_late)
+    return found
 
 
 def _inexpressible(hypothesis: Hypothesis) -> int:

@@ -123,6 +123,18 @@ class LinearPhysics:
     def size(self, hypothesis: Hypothesis) -> Size:
         return Size(len(hypothesis.terms), hypothesis.free_count)
 
+    def special_cases(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        out = []
+        for term in hypothesis.terms:
+            own = hypothesis.theta[hypothesis.slice_of(term)].tolist()
+            values = dict(zip((p.name for p in term.parameters), own, strict=True))
+            for effect, special in term.law.special_cases(values).items():
+                new = Term(effect, term.joint)
+                if new in self.responses and new not in hypothesis.terms:
+                    start = np.array([special[p.name] for p in new.parameters])
+                    out.append(hypothesis.without(term).with_term(new, start))
+        return out
+
     def rewrites(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         return []
 
@@ -143,7 +155,8 @@ class LinearPhysics:
 
 def _sensitivity(term: Term, response: FloatArray) -> Sensitivity:
     start = np.array([p.starts[0] for p in term.parameters])
-    return Sensitivity(term, start, term.amplitude_indices(start), response * start)
+    amplitudes = term.amplitude_indices(start)
+    return Sensitivity(term, start, amplitudes, (response * start)[..., amplitudes])
 
 
 EFFECTS = (

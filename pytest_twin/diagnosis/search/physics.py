@@ -126,8 +126,11 @@ class Physics(Protocol):
     def size(self, hypothesis: Hypothesis) -> Size:
         """Number of effects and parameters; an effect that is common to all joints counts once."""
 
+    def special_cases(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """The hypothesis with one law replaced by a special case of it."""
+
     def rewrites(self, hypothesis: Hypothesis) -> list[Hypothesis]:
-        """The same physics in other words."""
+        """The same physics in other words, special cases included."""
 
     def sensor_effects(self, hypothesis: Hypothesis, mean_square: FloatArray) -> list[Hypothesis]:
         """The hypothesis with an effect of one effort sensor whose residual is large."""
@@ -267,13 +270,17 @@ class SimulatedPhysics:
         """As :meth:`Physics.size`."""
         return set_size(self.problem, hypothesis)
 
+    def special_cases(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """As :meth:`Physics.special_cases`."""
+        return special_cases(self.problem, hypothesis)
+
     def rewrites(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """As :meth:`Physics.rewrites`."""
         problem = self.problem
         return [
             *merge_terms(problem, hypothesis),
             *merge_joints(problem, hypothesis),
-            *special_cases(problem, hypothesis),
+            *self.special_cases(hypothesis),
             *split_terms(problem, hypothesis),
             *simpler_forms(problem, hypothesis),
             *equal_sized_forms(hypothesis),

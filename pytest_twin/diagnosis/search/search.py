@@ -65,6 +65,10 @@ class SearchOutcome:
     comparison: Comparison
     is_complete: bool
 
+    def is_better(self, model: Model, simpler: Model) -> bool:
+        """Whether a fitted model passes the test of the search against a simpler one."""
+        return accepts(model, simpler, self.nominal, self.comparison).is_accepted
+
 
 class Search:
     """One search for the effects that a model lacks.
@@ -225,7 +229,13 @@ class Search:
             ]
         for physics, model in sorted(tried, key=lambda pair: -pair[1].score)[:_FITTED_SETTINGS]:
             present, self.physics = self.physics, physics
-            accepted = self._accept_fitted(model, incumbent)
+            try:
+                accepted = self._accept_fitted(model, incumbent)
+            except OutOfTime:
+                # The result is the incumbent, with its own setting.
+                if self._passed is None:
+                    self.physics = present
+                raise
             least = self.settings.earns if model.hypothesis is own else 0.0
             if accepted is not None and accepted.score > incumbent.score + least:
                 return accepted
@@ -447,11 +457,41 @@ class Search:
         return decision
 
     def _accept_fitted(self, model: Model, incumbent: Model) -> Model | None:
-        """A model fitted by simulation, if it then replaces the incumbent."""
+        """A model fitted by simulation, if it then replaces the incumbent.
+
+        Special cases of its new laws are fitted first: a law with more parameters replaces them
+        only if it passes the test against them.
+        """
         self._passed = model if self._decide(model, incumbent).is_accepted else None
-        fitted = self._fitted(model)
+        best = None
+        for each in [*self._special_cases(model, incumbent), model]:
+            if best is None or self._decide(each, best).is_accepted:
+                fitted = self._fitted(each)
+                if self._decide(fitted, best or incumbent).is_accepted:
+                    best = self._passed = fitted
         self._passed = None
-        return fitted if self._decide(fitted, incumbent).is_accepted else None
+        return best
+
+    def _special_cases(self, model: Model, incumbent: Model) -> list[Model]:
+        """Simulated models with special cases of laws that the incumbent lacks, simplest first."""
+        shared = set(model.hypothesis.terms) & set(incumbent.hypothesis.terms)
+        known = {*self._fitted_sets, frozenset(incumbent.hypothesis.terms)}
+        found, rest = dict[frozenset[Term], Hypothesis](), [model.hypothesis]
+        while rest:
+            for special in self.physics.special_cases(rest.pop()):
+                terms = frozenset(special.terms)
+                if terms in found or not shared <= terms or not self._is_allowed(special):
+                    continue
+                found[terms] = special
+                rest.append(special)
+        models = self._simulate(
+            [h for terms, h in found.items() if terms not in known], model.corrected_at,
+            "special case",
+        )  # fmt: skip
+        return sorted(
+            (m for m in models if m.is_finite),
+            key=lambda m: (m.size.effects, m.size.parameters, -m.score),
+        )
 
     def _fitted(self, model: Model) -> Model:
         """A model fitted by simulation, then with the corrections of its own parameters."""
