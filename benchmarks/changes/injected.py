@@ -174,8 +174,8 @@ def answer(
     if first.motor is not None:
         joint = next(law.term.joint for law in types if law.motor == first.motor)
     return Outcome(
-        *law, first.shape.term.effect, joint, first.confidence, prepared.tempering.score(evidence),
-        max(prepared.null.threshold(LEVEL), 0.0),
+        *law, first.shape.term.effect, joint, first.confidence,
+        prepared.tempering.score(shapes, evidence), prepared.threshold(LEVEL),
     )  # fmt: skip
 
 

@@ -16,8 +16,9 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Rows
 from pytest_twin.changes.comparison import Comparison, compare
+from pytest_twin.changes.find_changes import extrapolation_notes
 from pytest_twin.changes.position_rows import PositionLaws, in_parts, position_laws
-from pytest_twin.changes.recordings import FEWEST_SESSIONS, outside, sessions_of
+from pytest_twin.changes.recordings import FEWEST_SESSIONS, sessions_of
 from pytest_twin.changes.trials import ComparedTrials
 from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.diagnosis.build_problem import build_problem
@@ -178,18 +179,10 @@ def _compare(
         )
     rows = laws.rows(count)
     groups, _ = sessions_of([part.recording for part in laws.parts[count:]])
-    beyond = outside([p.bounds for p in laws.parts[:count]], [p.bounds for p in laws.parts[count:]])
-    widening = 1.0 + float(beyond.max())
-    if beyond.max() > 0.0:
-        notes.append(
-            f"the new motion of {laws.joints[int(beyond.argmax())]} leaves the range of the "
-            f"earlier ones by {100 * beyond.max():.0f} % of it: the alarm level is "
-            f"{widening:.2f} times as high"
-        )
     comparison = compare(
         rows, sessions, [[count + i for i in group] for group in groups], laws.shapes, level,
-        widening,
     )  # fmt: skip
+    notes += extrapolation_notes(comparison, laws.joints, level)
     return laws, rows, comparison, words
 
 

@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Background, Contrast, Information, Rows
 from pytest_twin.changes.motor_types import TypeLaw, type_laws
-from pytest_twin.changes.scatter import AMPLITUDE_PRIOR, scatter_of
+from pytest_twin.changes.scatter import AMPLITUDE_PRIOR, Scatter, SessionSums, scatter_of
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.effort.law_columns import Shape
 
@@ -39,7 +39,7 @@ class Null:
     """Scores where nothing changed: earlier sessions against the others.
 
     Attributes:
-        scores: (sessions,) best score of each group of sessions that is left out.
+        scores: (sessions,) score of each group of sessions that is left out.
     """
 
     scores: FloatArray
@@ -95,13 +95,15 @@ class Comparison:
     """Result of a comparison.
 
     Attributes:
-        score: best score of the later recordings.
+        score: log odds that some law changed in the later recordings.
         threshold: score above which it is an alarm.
         changes: named changes, the largest first.
         is_changed: whether the score is above the threshold.
         background: the laws as the earlier recordings show them.
         before, after: (joints,) RMS residual of the later recordings without and with the changes.
         usual: (joints,) RMS residual of earlier recordings that are left out.
+        uncertainty: (joints,) predicted variance of the later efforts, relative to the largest one
+            of a session that is left out.
     """
 
     score: float
@@ -113,6 +115,7 @@ class Comparison:
     before: FloatArray
     after: FloatArray
     usual: FloatArray
+    uncertainty: FloatArray
 
 
 @dataclass(frozen=True)
@@ -137,10 +140,29 @@ class Tempering:
         freedom = self.freedom
         return np.asarray(-0.5 * (freedom + 1.0) * np.log1p(2.0 * deficit / freedom))
 
-    def score(self, evidence: FloatArray) -> float:
-        """Log odds of the best law against no change."""
-        best = float(evidence.max())
-        return best if best < 0.0 else -float(self.odds(np.array(best)))
+    def by_law(self, terms: Sequence[Term], evidence: FloatArray) -> dict[Term, float]:
+        """Law -> its log odds against no change.
+
+        A law with many shapes is not likelier because of them.
+
+        Args:
+            terms: law of each shape.
+            evidence: (shapes,) log evidence against no change.
+        """
+        every = np.append(evidence, 0.0)
+        *odds, no_change = self.odds(every.max() - every).tolist()
+        of_law: dict[Term, list[float]] = {}
+        for term, log_odds in zip(terms, odds, strict=True):
+            of_law.setdefault(term, []).append(log_odds - no_change)
+        return {
+            term: float(np.logaddexp.reduce(each) - np.log(len(each)))
+            for term, each in of_law.items()
+        }
+
+    def score(self, shapes: Sequence[Shape], evidence: FloatArray) -> float:
+        """Log odds that some law changed against no change, where all laws are equally likely."""
+        of_law = list(self.by_law([shape.term for shape in shapes], evidence).values())
+        return float(np.logaddexp.reduce(of_law) - np.log(len(of_law)))
 
     @property
     def deviations(self) -> float:
@@ -156,6 +178,8 @@ class Prepared:
         contrast: what the later sessions show of a change.
         background: the laws as the earlier sessions show them.
         usual: (joints,) RMS residual of earlier sessions that are left out.
+        uncertainty: (joints,) predicted variance of the later efforts, relative to the largest one
+            of a session that is left out; above 1 the new motion is an extrapolation.
     """
 
     contrast: Contrast
@@ -163,6 +187,19 @@ class Prepared:
     null: Null
     tempering: Tempering
     usual: FloatArray
+    uncertainty: FloatArray
+
+    def threshold(self, level: float) -> float:
+        """Score above which the later sessions are an alarm at a level, such as 0.05.
+
+        Sessions that are left out show how large a score is where nothing changed, along their own
+        motions. The more of the predicted variance they do not show, the nearer is the threshold to
+        a bound that holds along every motion: the mean Bayes factor of an unchanged robot exceeds
+        1 / level with at most this probability (Markov's inequality).
+        """
+        shown = max(self.null.threshold(level), 0.0)
+        unseen = 1.0 - 1.0 / max(float(self.uncertainty.max()), 1.0)
+        return shown + unseen * max(-float(np.log(level)) - shown, 0.0)
 
 
 def prepare(
@@ -183,12 +220,13 @@ def prepare(
     background = Background.of(Information.total(shown))
     shown_later = Information.total([Information.of(sums, scatter, count) for sums in later_sums])
     left_out = []
-    others_residuals = []
+    others_residuals, variances = [], []
     for group in _groups(len(sessions), len(later)):
         others = Background.of(
             Information.total([info for at, info in enumerate(shown) if at not in group])
         )
         left_out.append(Contrast.of(Information.total([shown[at] for at in group]), others))
+        variances += [_predicted_variance(earlier_sums[at], scatter, others) for at in group]
         for at in group:
             others_residuals += rows.residuals(sessions[at], others.mean)
     freedom = len(sessions) + len(later) - 2
@@ -196,7 +234,22 @@ def prepare(
     return Prepared(
         Contrast.of(shown_later, background), background, null, tempering,
         np.sqrt(np.mean(np.concatenate(others_residuals) ** 2, axis=0)),
+        np.max([_predicted_variance(s, scatter, background) for s in later_sums], axis=0)
+        / np.max(variances, axis=0),
     )  # fmt: skip
+
+
+def _predicted_variance(
+    session: Sequence[SessionSums], scatter: Sequence[Scatter], background: Background
+) -> FloatArray:
+    """(joints,) variance of the efforts of a session as predicted by a background, mean of rows."""
+    covariance = np.linalg.inv(background.precision)
+    return np.array([
+        joint_scatter.noise
+        + float(np.sum(covariance[np.ix_(sums.columns, sums.columns)] * sums.matrix)
+                + joint_scatter.deviation @ np.diag(sums.matrix)) / max(sums.samples, 1)
+        for sums, joint_scatter in zip(session, scatter, strict=True)
+    ])  # fmt: skip
 
 
 def _is_unpredicted(changes: Sequence[Change], unpredicted: NDArray[np.bool_]) -> bool:
@@ -225,7 +278,6 @@ def compare(
     later: Sequence[Sequence[int]],
     shapes: Sequence[Shape],
     level: float,
-    widening: float = 1.0,
     motors: Mapping[str, Sequence[int]] = MappingProxyType({}),
 ) -> Comparison:
     """Compare later recordings with earlier ones.
@@ -235,13 +287,12 @@ def compare(
         sessions: earlier recordings of each session; at least three sessions.
         later: the later recordings of each session.
         level: probability of an alarm if nothing changed.
-        widening: factor on the threshold, for motions that the earlier ones do not cover.
         motors: motor type -> its joints.
     """
     prepared = prepare(rows, sessions, later, shapes)
     background, null, tempering = prepared.background, prepared.null, prepared.tempering
     evidence = evidence_of(prepared.contrast, shapes, tempering)
-    score, threshold = tempering.score(evidence), widening * max(null.threshold(level), 0.0)
+    score, threshold = tempering.score(shapes, evidence), prepared.threshold(level)
     types = type_laws(shapes, rows.scale, motors)
     changes: list[Change] = []
     new = [i for session in later for i in session]
@@ -249,7 +300,7 @@ def compare(
     rest = prepared.contrast
     unpredicted = prepared.usual >= rows.size
     for _ in range(_MOST_CHANGES):
-        if tempering.score(evidence) <= threshold:
+        if tempering.score(shapes, evidence) <= threshold:
             break
         named = best_change(rest, shapes, types, tempering, evidence)
         if named[0].confidence < SURE_OF_NAME or _is_unpredicted(named, unpredicted):
@@ -265,14 +316,14 @@ def compare(
     return Comparison(
         score, threshold, tuple(changes), score > threshold, background, null,
         rows.residual_rms(new, background.mean), rows.residual_rms(new, changed),
-        prepared.usual,
+        prepared.usual, prepared.uncertainty,
     )  # fmt: skip
 
 
 def _null(
     left_out: Sequence[Contrast], shapes: Sequence[Shape], freedom: int
 ) -> tuple[Null, Tempering]:
-    """Best scores of sessions that are left out, and the tempering of later scores."""
+    """Scores of sessions that are left out, and the tempering of later scores."""
     gains = np.array([_gains(contrast, shapes)[0] for contrast in left_out])
     per_amplitude = 2.0 * gains / np.array([len(shape.columns) for shape in shapes])
     joints = np.array([shape.term.joint for shape in shapes])
@@ -288,7 +339,7 @@ def _null(
     scores = []
     for at, contrast in enumerate(left_out):
         of_others = tempering(every != at, freedom - 1)
-        scores.append(of_others.score(evidence_of(contrast, shapes, of_others)))
+        scores.append(of_others.score(shapes, evidence_of(contrast, shapes, of_others)))
     return Null(np.array(scores)), tempering(every >= 0, freedom)
 
 
@@ -416,15 +467,10 @@ def probabilities(
         terms: law of each shape.
         evidence: (shapes,) log evidence against no change.
     """
-    every = np.append(evidence, 0.0)
-    *odds, no_change = tempering.odds(every.max() - every).tolist()
-    by_law: dict[Term, list[float]] = {}
-    for term, log_odds in zip(terms, odds, strict=True):
-        by_law.setdefault(term, []).append(log_odds)
-    of_law = [np.logaddexp.reduce(each) - np.log(len(each)) for each in by_law.values()]
-    log_odds = np.array([*of_law, no_change])
+    of_law = tempering.by_law(terms, evidence)
+    log_odds = np.array([*of_law.values(), 0.0])
     share = np.exp(log_odds - np.logaddexp.reduce(log_odds))
-    return dict(zip(by_law, share[:-1].tolist(), strict=True))
+    return dict(zip(of_law, share[:-1].tolist(), strict=True))
 
 
 def _with_covariance(

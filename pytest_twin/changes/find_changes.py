@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,18 +16,22 @@ from pytest_twin.changes.recordings import (
     Compared,
     at_one_rate,
     in_parts,
-    outside,
     sessions_of,
 )
 from pytest_twin.effects.base import si_unit
 from pytest_twin.errors import RecordingError, SpecError, TwinError
-from pytest_twin.identification.effort.law_columns import EffortLaws
+from pytest_twin.identification.effort.law_columns import EffortLaws, Shape
 from pytest_twin.identification.effort.laws_along import LawsAlong, band_of, rms_of
 from pytest_twin.realization import Realization
 
 _OTHER_UNIT = 5.0
 """Ratio of the efforts to those that the earlier recordings predict, above which (or below its
 reciprocal) they have another unit."""
+
+
+_INDEPENDENT = 0.8
+"""Independent values per row: rows have 2.5 times the rate of their bandwidth, and a band-limited
+signal has two independent values for each period of its bandwidth (Shannon)."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,6 @@ class Changes:
         before, new, held_out: their indices among ``rows``.
         sessions: how earlier sessions were distinguished, such as ``8 recordings``.
         removed: share of the squared held-out residual that the changes remove; None without one.
-        beyond: (joints,) how far the new motion leaves the range of the earlier one.
         notes: one line each.
     """
 
@@ -52,7 +56,6 @@ class Changes:
     held_out: tuple[int, ...]
     sessions: str
     removed: float | None
-    beyond: FloatArray
     notes: tuple[str, ...]
 
 
@@ -83,20 +86,14 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
     size = np.where(known, rms_of([one.effort for one in before]), 1.0)
     rows = Rows.of(parts, size, laws.count)
     first, last = len(before), len(before) + len(compared.new)
+    _refuse_short(rows, sessions, laws.shapes)
     later, _ = sessions_of(compared.new)
-    beyond = outside([p.bounds for p in parts[:first]], [p.bounds for p in parts[first:last]])
-    widening = 1.0 + float(beyond.max())
     comparison = compare(
-        rows, sessions, [[first + i for i in own] for own in later], laws.shapes, level, widening,
+        rows, sessions, [[first + i for i in own] for own in later], laws.shapes, level,
         motors_of(realization, laws.joints),
     )  # fmt: skip
     _refuse_other_unit(rows, comparison, range(first, last), size)
-    if beyond.max() > 0.0:
-        joint = laws.joints[int(beyond.argmax())]
-        notes.append(
-            f"the new motion of {joint} leaves the range of the earlier ones by "
-            f"{100 * beyond.max():.0f} % of it: the alarm level is {widening:.2f} times as high"
-        )
+    notes += extrapolation_notes(comparison, laws.joints, level)
     lost = [
         j
         for j, rms, effort in zip(laws.joints, comparison.usual, size, strict=True)
@@ -110,8 +107,22 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
     held_out = range(last, len(every))
     return Changes(
         laws, rows, comparison, tuple(range(first)), tuple(range(first, last)), tuple(held_out),
-        words, _removed(rows, comparison, held_out), beyond, tuple(dict.fromkeys(notes)),
+        words, _removed(rows, comparison, held_out), tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+def extrapolation_notes(comparison: Comparison, joints: Sequence[str], level: float) -> list[str]:
+    """A line if the earlier recordings predict the new motion less well than their own."""
+    shown = max(comparison.null.threshold(level), 0.0)
+    if comparison.threshold <= shown:
+        return []
+    joint = int(comparison.uncertainty.argmax())
+    return [
+        f"the earlier recordings predict the new motion of {joints[joint]} "
+        f"{np.sqrt(comparison.uncertainty[joint]):.1f} times less precisely than their own: the "
+        f"alarm level is {comparison.threshold:.1f} instead of {shown:.1f}; repeat an earlier "
+        "motion"
+    ]
 
 
 def motors_of(realization: Realization, joints: Sequence[str]) -> dict[str, list[int]]:
@@ -134,6 +145,25 @@ def motors_of(realization: Realization, joints: Sequence[str]) -> dict[str, list
             raise SpecError(f"{error}", path=path, where=where) from error
         motors[motor] = [joints.index(name) for name in names if name in joints]
     return motors
+
+
+def _refuse_short(rows: Rows, sessions: Sequence[Sequence[int]], shapes: Sequence[Shape]) -> None:
+    """Refuse earlier sessions with fewer independent values than a joint has laws."""
+    laws = max(Counter(term.joint for term in {shape.term for shape in shapes}).values())
+    needed = int(np.ceil(laws / _INDEPENDENT))
+    for session in sessions:
+        samples = max(sums.samples for sums in rows.sums_of(session))
+        if samples < needed:
+            recording = rows.parts[session[0]].recording
+            seconds = sum(float(rows.parts[i].recording.time[-1]) for i in session)
+            raise RecordingError(
+                "too short for what is usual: a joint has more laws than independent values here",
+                path=recording.path,
+                where=f"{seconds:.2g} s from {recording.start:.3g} s",
+                value=f"{samples} rows after filtering, {laws} laws",
+                expected=f"{needed} rows or more in each earlier recording or part, about "
+                f"{seconds * needed / samples:.2g} s",
+            )
 
 
 def _refuse_other_unit(rows: Rows, comparison: Comparison, new: range, size: FloatArray) -> None:

@@ -278,16 +278,3 @@ def _slower(one: MeasuredRecording, rate: float) -> MeasuredRecording:
 
     position, effort = resampled(even.position), resampled(even.effort)
     return replace(one, time=time, position=position, effort=effort, velocity=None, command=None)
-
-
-def outside(before: Sequence[FloatArray], new: Sequence[FloatArray]) -> FloatArray:
-    """(joints,) how far the new motion leaves the range of the earlier one, relative to the range.
-
-    Args:
-        before, new: (2, 3, joints) bounds of position, velocity and acceleration of each recording.
-    """
-    low, high = (np.min([b[0] for b in before], axis=0), np.max([b[1] for b in before], axis=0))
-    beyond = np.zeros(low.shape)
-    for bounds in new:
-        beyond = np.maximum(beyond, np.maximum(low - bounds[0], bounds[1] - high))
-    return np.asarray((beyond / np.maximum(high - low, 1e-12)).max(axis=0))

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from pytest_twin.cli import main
+from pytest_twin.realization import Realization
 
 sys.path.append(str(Path(__file__).parents[1] / "identification"))
 from arms import simulated_effort, true_arm, write_model, write_recording
+from fourier_motion import fourier, needed_effort
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 EARLIER = 5
@@ -136,8 +138,74 @@ def test_a_motion_outside_the_earlier_range_raises_the_alarm_level(
     time, position, effort = simulated_effort(arm, 11, 12.0, rate=50.0, about=1.0)
     new = write_recording(tmp_path / "new.csv", time, position, effort)
     status, document = compare(robot, tmp_path / "out", new)
-    assert any("leaves the range" in note for note in document["notes"])
+    assert any(
+        "less precisely than their own: the alarm level is" in note for note in document["notes"]
+    )
     assert status == 0
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Slow small motions of the arm, of a model with wrong inertia and friction."""
+    folder = tmp_path_factory.mktemp("slow")
+    write_model(folder)
+    arm = true_arm(folder)
+    for seed in range(EARLIER):
+        motion_of(folder / f"old{seed}.csv", arm, seed, base=0.05, size=0.15)
+    return folder
+
+
+def motion_of(path: Path, arm: Realization, seed: int, *, base: float, size: float) -> Path:
+    """Efforts along a Fourier series with a lowest frequency (Hz) and an amplitude (rad)."""
+    random = np.random.default_rng(seed)
+    time = np.arange(600) / 50.0
+    q, v, a = fourier(random, time, 2, 5, base, (size, size))
+    effort = needed_effort(arm.model, q, v, a) + 0.05 * random.standard_normal(q.shape)
+    return write_recording(path, time, q + 1e-5 * random.standard_normal(q.shape), effort)
+
+
+@pytest.mark.parametrize(("friction", "status"), [(0.8, 0), (2.4, 1)])
+def test_a_far_larger_and_faster_motion_is_an_alarm_only_if_the_friction_changed(
+    slow: Path, tmp_path: Path, friction: float, status: int
+) -> None:
+    arm = true_arm(tmp_path, friction=friction)
+    new = motion_of(tmp_path / "new.csv", arm, 50, base=0.1, size=0.8)
+    found, document = compare(slow, tmp_path / "out", new)
+    assert (found, document["verdict"] == "no_change") == (status, status == 0)
+    assert document["alarm"]["threshold"] == pytest.approx(-np.log(0.05), rel=0.01)
+
+
+def test_nothing_is_named_at_a_joint_whose_earlier_recordings_do_not_predict_each_other(
+    tmp_path: Path,
+) -> None:
+    """The effort of the elbow has nothing to do with its motion; then a spring is added."""
+    write_model(tmp_path)
+    arm = true_arm(tmp_path)
+    for seed in (*range(EARLIER), 11):
+        random = np.random.default_rng(seed)
+        time, position, effort = simulated_effort(arm, seed, 12.0, rate=50.0)
+        effort[:, 1] = fourier(random, time, 1, 5, 0.1, (0.5, 2.0))[0][:, 0]
+        if seed == 11:
+            effort[:, 1] += 12.0 * position[:, 1]
+        write_recording(tmp_path / f"old{seed}.csv", time, position, effort)
+    status, document = compare(tmp_path, tmp_path / "out", tmp_path / "old11.csv")
+    assert any("do not predict each other at elbow" in note for note in document["notes"])
+    assert (status, document["verdict"], document["findings"]) == (1, "changed_unnamed", [])
+
+
+def test_parts_with_fewer_rows_than_laws_are_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm = true_arm(tmp_path)
+    short = write_recording(tmp_path / "old0.csv", *simulated_effort(arm, 3, 4.0, rate=50.0))
+    status = main([
+        "diagnose", str(robot / "model.xml"), str(robot / "old1.csv"), "--before", str(short),
+        "--out", str(tmp_path / "out"),
+    ])  # fmt: skip
+    assert status == 2
+    error = capsys.readouterr().err
+    assert "old0.csv: 0.98 s from 0 s: too short for what is usual" in error
+    assert "rows or more in each earlier recording or part" in error
 
 
 def test_a_drift_between_earlier_sessions_is_no_alarm(robot: Path, tmp_path: Path) -> None:
@@ -163,6 +231,9 @@ def test_a_stricter_level_needs_a_larger_change(robot: Path, tmp_path: Path) -> 
 
 
 def test_one_earlier_recording_is_compared_in_parts(robot: Path, tmp_path: Path) -> None:
+    write_model(tmp_path)
+    arm = true_arm(tmp_path)
+    write_recording(tmp_path / "old0.csv", *simulated_effort(arm, 3, 24.0, rate=50.0))
     new = record(tmp_path, "new.csv", 11, friction=2.4)
-    _, document = compare(robot, tmp_path / "out", new, old=1)
+    _, document = compare(tmp_path, tmp_path / "out", new, old=1)
     assert any("compared in parts" in note for note in document["notes"])

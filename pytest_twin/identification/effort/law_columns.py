@@ -47,8 +47,6 @@ _DIGITS = 6
 _OVERSAMPLED = 3.0
 """Ratio of the rate at which laws are evaluated to the rate of the rows. Positions are filtered at
 four times the bandwidth of the rows, so this leaves no motion out."""
-_QUANTILES = (0.02, 0.98)
-"""Quantiles that bound the range of a motion; values outside may be outliers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +99,6 @@ class EffortRows:
         effort: (n, joints) measured effort minus that of the model, N*m or N; NaN where unknown.
         columns: for each joint, (k,) indices of the columns that act on it.
         matrix: for each joint, (n, k) effort per unit of these amplitudes.
-        bounds: (2, 3, joints) lower and upper bound of position, velocity and acceleration.
     """
 
     recording: MeasuredRecording
@@ -109,7 +106,6 @@ class EffortRows:
     effort: FloatArray
     columns: tuple[NDArray[np.intp], ...]
     matrix: tuple[FloatArray, ...]
-    bounds: FloatArray
 
 
 Column = Mapping[int, FloatArray]
@@ -244,16 +240,12 @@ class EffortLaws:
                     for at, effort in of_joint[joint].items():
                         rows[at].setdefault(shape.columns[k], effort)
         smooth = [inner_rows(np.stack(list(own.values()), axis=1), motion, chosen) for own in rows]
-        bounds = np.quantile(
-            np.stack([motion.position, motion.velocity, motion.acceleration]), _QUANTILES, axis=1
-        )
         return EffortRows(
             recording,
             inner_rows(motion.time[:, None], motion, chosen)[:, 0],
             inner_rows(measured - along.nominal - carried, motion, chosen),
             tuple(np.array(list(own), dtype=np.intp) for own in rows),
             tuple(smooth),
-            bounds,
         )
 
 
