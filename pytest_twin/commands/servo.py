@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import typed
@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with add: file of your servos (default: the environment variable "
         f"{library.VARIABLE}, else ~/.config/pytest-twin/servos.yaml)",
     )
+    model_files.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
