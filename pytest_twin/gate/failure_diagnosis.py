@@ -17,7 +17,6 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.gate import Gate, Progress
-from pytest_twin.gate.since_release import since_release
 from pytest_twin.golden import Golden
 from pytest_twin.interrupts import stop_on_interrupt
 from pytest_twin.realization.sandbox import Sandbox
@@ -104,6 +103,9 @@ def _diagnose_realization(
 
 def _since_release(gate: Gate, realization: str, failed: list[RecordingRef]) -> tuple[str, ...]:
     """Lines on what changed since the newest release, as ``diagnose --before`` says it."""
+    # It reads signatures, which collecting goldens does without.
+    from pytest_twin.gate.since_release import since_release
+
     if realization != gate.twin.first_realization.name:
         return ()
     try:
