@@ -3,9 +3,9 @@
     python benchmarks/public_audit.py FOLDER... --state audits.jsonl --page docs/public_audit.md
 
 Each FOLDER is one collection: a clone of MuJoCo Menagerie, or an unpacked package such as
-`pip install --no-deps --target FOLDER example-robot-data`. Every URDF and MJCF in it that has
-joints and that no other file includes is audited in a child process. The state file has a line for
-each robot, so an interrupted run can be continued.
+`pip install --no-deps --target FOLDER example-robot-data`. Every URDF and MJCF in it with joints,
+scenes apart, is audited in a child process. The state file has a line for each robot, so an
+interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -23,24 +23,14 @@ from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.realization.sandbox import Sandbox
 
-_INCLUDED = re.compile(r"<include\s[^>]*file=\"([^\"]+)\"")
 _KEPT = ("code", "severity", "element", "title", "value", "unit", "expected", "line")
 _MOST_OF_A_ROBOT = 3
 """Critical findings that the page prints of a robot; more are counted."""
 
 
 def robots(folder: Path) -> list[Path]:
-    """Files with joints that no other file of the collection includes."""
-    models = [path for path in shipped.models(folder) if shipped.has_joints(path)]
-    parts = {
-        (path.parent / name).resolve()
-        for path in shipped.models(folder)
-        for name in _INCLUDED.findall(path.read_text(errors="replace"))
-    }
-    whole = [path for path in models if path.resolve() not in parts]
-    scenes = [path for path in models if path.resolve() in parts and "scene" not in path.name]
-    # A scene adds a floor to a robot: the robot's own file is audited instead.
-    return sorted({*scenes, *(path for path in whole if "scene" not in path.name)})
+    """Files with joints. A scene adds a floor to a robot: the robot's own file is audited."""
+    return [p for p in shipped.models(folder) if shipped.has_joints(p) and "scene" not in p.name]
 
 
 def run(folders: list[Path], state: Path, seconds: float) -> None:

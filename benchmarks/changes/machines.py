@@ -24,7 +24,7 @@ from baxter import urdf
 from injected import NEW, Outcome, Robot, in_process, interval, robot_of, show
 
 from pytest_twin.changes.comparison import prepare
-from pytest_twin.changes.recordings import read_compared
+from pytest_twin.changes.recordings import part_of, read_compared
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.identification.measured_recordings import MeasuredRecording
 from pytest_twin.realization import load
@@ -90,17 +90,7 @@ def cut(recordings: Sequence[MeasuredRecording]) -> list[MeasuredRecording]:
     for one in recordings:
         count = max(round(PARTS * len(one.time) / total), 1)
         for rows in np.array_split(np.arange(len(one.time)), count):
-            parts.append(
-                replace(
-                    one,
-                    start=one.start + float(one.time[rows[0]]),
-                    time=one.time[rows] - one.time[rows[0]],
-                    position=one.position[rows],
-                    velocity=None if one.velocity is None else one.velocity[rows],
-                    effort=one.effort[rows],
-                    command=None if one.command is None else one.command[rows],
-                )
-            )
+            parts.append(part_of(one, rows))
     return parts
 
 

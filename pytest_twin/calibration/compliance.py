@@ -211,8 +211,8 @@ def _by_compliance(
         if joint in wider.layout.zeros
     ]
     residuals, wide, slopes = [], [], []
-    found = wider.residuals(replace(fit.state, links=links), np.zeros(wider.layout.count))
-    for term, (residual, slope), kept in zip(wider.terms, found, fit.kept, strict=True):
+    of_terms = wider.residuals(replace(fit.state, links=links), np.zeros(wider.layout.count))
+    for term, (residual, slope), kept in zip(wider.terms, of_terms, fit.kept, strict=True):
         weight = kept[:, None] / np.array([fit.noise[name] for name in term.noise])
         slope = slope * weight[:, :, None]
         residuals.append((residual * weight).reshape(-1))

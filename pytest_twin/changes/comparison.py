@@ -47,14 +47,15 @@ class Null:
     def threshold(self, level: float) -> float:
         """Score above which a later session is an alarm at a level, such as 0.05.
 
-        With enough sessions it is a quantile of theirs, else that of a t law.
+        With enough sessions it is a quantile of theirs, else that of a t law; at least 0, below
+        which no change is likelier.
         """
         count = len(self.scores)
         if not self.is_t_law(level):
             rank = int(np.ceil((count + 1) * (1.0 - level))) - 1
-            return float(np.sort(self.scores)[rank])
+            return max(float(np.sort(self.scores)[rank]), 0.0)
         spread = float(self.scores.std(ddof=1)) * np.sqrt(1.0 + 1.0 / count)
-        return float(self.scores.mean() + stdtrit(count - 1, 1.0 - level) * spread)
+        return max(float(self.scores.mean() + stdtrit(count - 1, 1.0 - level) * spread), 0.0)
 
     def is_t_law(self, level: float) -> bool:
         """Whether there are too few sessions for a quantile."""
@@ -197,9 +198,9 @@ class Prepared:
         a bound that holds along every motion: the mean Bayes factor of an unchanged robot exceeds
         1 / level with at most this probability (Markov's inequality).
         """
-        shown = max(self.null.threshold(level), 0.0)
+        left_out = self.null.threshold(level)
         unseen = 1.0 - 1.0 / max(float(self.uncertainty.max()), 1.0)
-        return shown + unseen * max(-float(np.log(level)) - shown, 0.0)
+        return left_out + unseen * max(-float(np.log(level)) - left_out, 0.0)
 
 
 def prepare(
@@ -216,16 +217,20 @@ def prepare(
         for j, size in enumerate(rows.size)
     ]
     count = len(rows.scale)
-    shown = [Information.of(sums, scatter, count) for sums in earlier_sums]
-    background = Background.of(Information.total(shown))
+    session_information = [Information.of(sums, scatter, count) for sums in earlier_sums]
+    background = Background.of(Information.total(session_information))
     shown_later = Information.total([Information.of(sums, scatter, count) for sums in later_sums])
     left_out = []
     others_residuals, variances = [], []
     for group in _groups(len(sessions), len(later)):
         others = Background.of(
-            Information.total([info for at, info in enumerate(shown) if at not in group])
+            Information.total(
+                [info for at, info in enumerate(session_information) if at not in group]
+            )
         )
-        left_out.append(Contrast.of(Information.total([shown[at] for at in group]), others))
+        left_out.append(
+            Contrast.of(Information.total([session_information[at] for at in group]), others)
+        )
         variances += [_predicted_variance(earlier_sums[at], scatter, others) for at in group]
         for at in group:
             others_residuals += rows.residuals(sessions[at], others.mean)

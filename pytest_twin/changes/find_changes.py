@@ -113,15 +113,15 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
 
 def extrapolation_notes(comparison: Comparison, joints: Sequence[str], level: float) -> list[str]:
     """A line if the earlier recordings predict the new motion less well than their own."""
-    shown = max(comparison.null.threshold(level), 0.0)
-    if comparison.threshold <= shown:
+    usual_level = comparison.null.threshold(level)
+    if comparison.threshold <= usual_level:
         return []
     joint = int(comparison.uncertainty.argmax())
     return [
         f"the earlier recordings predict the new motion of {joints[joint]} "
         f"{np.sqrt(comparison.uncertainty[joint]):.1f} times less precisely than their own: the "
-        f"alarm level is {comparison.threshold:.1f} instead of {shown:.1f}; repeat an earlier "
-        "motion"
+        f"alarm level is {comparison.threshold:.1f} instead of {usual_level:.1f}; repeat an "
+        "earlier motion"
     ]
 
 

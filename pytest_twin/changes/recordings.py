@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.temperature import TEMPERATURE_KEY, parse_temperatures
@@ -246,18 +247,21 @@ def in_parts(recordings: Sequence[MeasuredRecording]) -> list[MeasuredRecording]
     parts = []
     for recording in recordings:
         for rows in np.array_split(np.arange(len(recording.time)), _PARTS):
-            parts.append(
-                replace(
-                    recording,
-                    start=recording.start + float(recording.time[rows[0]]),
-                    time=recording.time[rows] - recording.time[rows[0]],
-                    position=recording.position[rows],
-                    velocity=None if recording.velocity is None else recording.velocity[rows],
-                    effort=recording.effort[rows],
-                    command=None if recording.command is None else recording.command[rows],
-                )
-            )
+            parts.append(part_of(recording, rows))
     return parts
+
+
+def part_of(recording: MeasuredRecording, rows: NDArray[np.intp]) -> MeasuredRecording:
+    """Consecutive rows of a recording, as a recording of its own."""
+    return replace(
+        recording,
+        start=recording.start + float(recording.time[rows[0]]),
+        time=recording.time[rows] - recording.time[rows[0]],
+        position=recording.position[rows],
+        velocity=None if recording.velocity is None else recording.velocity[rows],
+        effort=recording.effort[rows],
+        command=None if recording.command is None else recording.command[rows],
+    )
 
 
 def at_one_rate(recordings: Sequence[MeasuredRecording]) -> list[MeasuredRecording]:

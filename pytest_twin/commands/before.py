@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,12 @@ from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP, recording_options
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import TwinError
-from pytest_twin.formats import atomic
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REPORT_FILE
 from pytest_twin.gate.released_model import model_changes, released_beside
+from pytest_twin.gate.since_release import write_comparison
 from pytest_twin.loaded_model import find_model
+from pytest_twin.release.released_files import copy_release, release_folder
 from pytest_twin.report import changes
 from pytest_twin.report.text import printable
 
@@ -103,16 +103,18 @@ def run(args: argparse.Namespace, seconds: float) -> int:
             {"request": request},
             progress=progress,
         )
-        if released is not None:
+        if released is not None and released.changes:
             with temporary_folder() as copied:
+                model = find_model(args.model).absolute()
+                folder = release_folder(model.parent, released.release.number)
                 document["model_changes"] = model_changes(
-                    find_model(args.model).absolute(), released, copied, sandbox,
+                    model, copy_release(released.release, folder, model.parent, copied), sandbox,
                     {"recordings": request["before"], "topics": request["topics"],
                      "options": request["options"]},
                 )  # fmt: skip
+        if released is not None:
             document["notes"] = [*released.notes, *document["notes"]]
-        atomic.write_text(staging / DIAGNOSIS_FILE, json.dumps(document, indent=2) + "\n")
-        atomic.write_text(staging / REPORT_FILE, changes.render(document))
+        write_comparison(staging, document)
     json_output.give(args, document)
     show("\n".join(printable(line) for line in changes.words(document)))
     show(f"report: {args.out / REPORT_FILE}")

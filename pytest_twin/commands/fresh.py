@@ -14,10 +14,10 @@ from pytest_twin.commands.terminal import show
 from pytest_twin.errors import ReleaseError
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.asset_chain import chain_of, changes_since, lost_manifests
-from pytest_twin.provenance.released_files import copy_release, release_folder
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
 from pytest_twin.release.environment import engine_changes
+from pytest_twin.release.released_files import copy_release, release_folder
 from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, load_twin
 from pytest_twin.words import counted

@@ -18,8 +18,8 @@ from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.temporary import temporary_folder
-from pytest_twin.provenance.released_files import copy_release, read_authentic_now
 from pytest_twin.realization.sandbox import Sandbox
+from pytest_twin.release.released_files import copy_release, read_authentic_now
 from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, Twin, load_twin
 

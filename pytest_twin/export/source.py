@@ -36,7 +36,7 @@ class ExportSource:
         path: diagnosis or twin as named by the user.
         loaded: the model.
         findings: findings of a diagnosis, as in ``diagnosis.json``.
-        held_out: recordings that no fit has seen.
+        held_out: recordings that were used for no fit.
         notes: what a user must know before the export is used.
     """
 

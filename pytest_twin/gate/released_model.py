@@ -8,16 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.formats.digest import file_sha256
+from pytest_twin.formats.recordings import mcap, sqlite
+from pytest_twin.formats.recordings.csv_dialect import GZIP_SUFFIX
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release.check import baseline
 from pytest_twin.release.environment import engine_changes
 from pytest_twin.release.folder import RELEASES
-from pytest_twin.release.restore import copy_files, place_of
+from pytest_twin.release.restore import place_of
 from pytest_twin.release.rollback import changed_files
 from pytest_twin.release.statement import FileEntry, Release
 from pytest_twin.twin import FILE_NAME
 
-_RECORDINGS = (".mcap", ".db3", ".csv", ".parquet")
+_RECORDINGS = (*mcap.SUFFIXES, *sqlite.SUFFIXES, ".csv", GZIP_SUFFIX, ".parquet")
 """Endings of recordings."""
 
 
@@ -98,28 +100,24 @@ def reference_recordings(root: Path, released: Release, folder: Path) -> list[Pa
 def _recordings_of(released: Release) -> dict[str, FileEntry]:
     """Path in the twin's folder -> entry of each recording of a release."""
     entries = {place_of(e) or e.name: e for e in (*released.files, *released.external)}
-    return {p: e for p, e in entries.items() if Path(p).suffix in _RECORDINGS}
+    return {p: e for p, e in entries.items() if p.lower().endswith(_RECORDINGS)}
 
 
 def model_changes(
-    model: Path, released: Released, folder: Path, sandbox: Sandbox, request: dict[str, Any]
+    model: Path, released_model: Path, sandbox: Sandbox, request: dict[str, Any]
 ) -> list[dict[str, Any]]:
     """Changed parts of the model with their share of the earlier recordings' error.
 
     Args:
         model: ``twin.yaml`` of today.
-        folder: empty folder for the copy of the release.
+        released_model: ``twin.yaml`` of the release's copy.
         request: ``recordings``, ``topics`` and ``options`` of the comparison.
 
     Raises:
         TwinError: the release or a recording cannot be used.
     """
-    if not released.changes:
-        return []
-    number = released.release.number
-    copy_files(released.release, model.parent / RELEASES / f"{number:04d}", folder)
-    found: list[dict[str, Any]] = sandbox.call(
+    changes: list[dict[str, Any]] = sandbox.call(
         "pytest_twin.changes.model_side:model_changes",
-        {"today": str(model), "released": str(folder / FILE_NAME), **request},
+        {"today": str(model), "released": str(released_model), **request},
     )
-    return found
+    return changes

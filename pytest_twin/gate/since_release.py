@@ -14,6 +14,7 @@ from typing import Any
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.temporary import temporary_folder
+from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REPORT_FILE
 from pytest_twin.gate.released_model import (
     Released,
     model_changes,
@@ -21,16 +22,13 @@ from pytest_twin.gate.released_model import (
     released_beside,
 )
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.release.folder import RELEASES
-from pytest_twin.release.restore import copy_files
+from pytest_twin.release.released_files import copy_release, release_folder
 from pytest_twin.report import changes
 from pytest_twin.twin import Twin
 from pytest_twin.words import counted, list_names
 
 _SECONDS = 120.0
 """Limit of a comparison by simulation, s of processor time. By measured effort it takes one."""
-_LEVEL = 0.05
-"""Probability of an alarm if nothing changed."""
 
 
 def since_release(
@@ -50,34 +48,30 @@ def since_release(
         return ()
     number = released.release.number
     with temporary_folder() as scratch:
-        copy = Path(scratch) / "released"
-        copy.mkdir()
-        copy_files(released.release, twin.path.parent / RELEASES / f"{number:04d}", copy)
-        references = reference_recordings(twin.path.parent, released.release, copy)
+        copy, root = Path(scratch).resolve(), twin.path.parent
+        released_model = copy_release(released.release, release_folder(root, number), root, copy)
+        references = reference_recordings(root, released.release, copy)
         digests = {file_sha256(path) for path in references}
         old = [path for path in failed if path.is_file() and file_sha256(path) in digests]
         new = [path for path in failed if path.is_file() and path not in old]
         lines: tuple[str, ...] = ()
         if old:
-            lines += _of_model(twin, released, old, sandbox)
+            lines += _of_model(twin, released, released_model, old, sandbox)
         if new and references:
             lines += _of_robot(twin, number, new, references, folder, sandbox)
     return lines
 
 
 def _of_model(
-    twin: Twin, released: Released, old: Sequence[Path], sandbox: Sandbox
+    twin: Twin, released: Released, released_model: Path, old: Sequence[Path], sandbox: Sandbox
 ) -> tuple[str, ...]:
     """Old recordings fail: which part of the model makes the error?"""
     names = list_names([path.name for path in old])
-    with temporary_folder() as scratch:
-        found = model_changes(
-            twin.path, released, Path(scratch), sandbox,
-            {"recordings": [str(path) for path in old], "topics": {}, "options": {}},
-        )  # fmt: skip
+    request = {"recordings": [str(path) for path in old], "topics": {}, "options": {}}
+    parts = model_changes(twin.path, released_model, sandbox, request) if released.changes else []
     return (
         f"{names} proved release {released.release.number}: the robot is as it was then",
-        *changes.model_lines({"model_changes": found}),
+        *changes.model_lines({"model_changes": parts}),
         *released.notes,
     )
 
@@ -98,17 +92,21 @@ def _of_robot(
                 "model": str(twin.path),
                 "before": [str(path) for path in references],
                 "new": [str(path) for path in new],
-                "level": _LEVEL,
                 "release": number,
                 "seconds": _SECONDS,
             }
         },
     )
-    with results.result_folder(folder, "diagnosis.json") as staging:
-        atomic.write_text(staging / "diagnosis.json", json.dumps(document, indent=2) + "\n")
-        atomic.write_text(staging / "report.html", changes.render(document))
+    with results.result_folder(folder, DIAGNOSIS_FILE) as staging:
+        write_comparison(staging, document)
     return (
         f"compared with the {counted(len(references), 'recording')} that proved release {number}:",
         *changes.words(document),
-        f"report: {folder / 'report.html'}",
+        f"report: {folder / REPORT_FILE}",
     )
+
+
+def write_comparison(folder: Path, document: dict[str, Any]) -> None:
+    """Write the document of a comparison and its page."""
+    atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(document, indent=2) + "\n")
+    atomic.write_text(folder / REPORT_FILE, changes.render(document))

@@ -3,8 +3,8 @@
 Two tests find the time. A position that jumps between two neighbouring samples cannot be a motion:
 names were exchanged, a sign or unit changed, an encoder slipped. And where a joint follows its
 position commands, two straight lines of position over command, before and after a time, fit better
-than one: the joint reads another way from there on, or no longer follows. Both need a joint that
-moves, and the second one needs commands; otherwise nothing is said.
+than one: the joint reads another way from there on, or no longer follows. Neither can judge a
+joint that does not move, and the second one needs commands.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import yaml
 from release_twins import MakeRelease
 
 from pytest_twin.errors import ReleaseError
-from pytest_twin.provenance.released_files import copy_release, release_folder
+from pytest_twin.release.released_files import copy_release, release_folder
 from pytest_twin.twin import load_twin
 
 
