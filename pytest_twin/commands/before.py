@@ -11,6 +11,7 @@ from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP, recording_options
 from pytest_twin.commands.terminal import show
+from pytest_twin.diagnosis.not_separated import state_not_separated
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REPORT_FILE
@@ -114,6 +115,7 @@ def run(args: argparse.Namespace, seconds: float) -> int:
                 )  # fmt: skip
         if released is not None:
             document["notes"] = [*released.notes, *document["notes"]]
+        state_not_separated(document, Path(request["model"]), out)
         write_comparison(staging, document)
     json_output.give(args, document)
     show("\n".join(printable(line) for line in changes.words(document)))

@@ -110,7 +110,9 @@ def read_diagnosed(folder: Path) -> Diagnosed:
                 # Without "joint" an alternative acts at the joint of the finding.
                 joints.setdefault(other["effect"], []).append(other.get("joint", finding["joint"]))
         return Diagnosed(
-            path, parameters, joints, _rms(document.get("held_out") or {}, "floor", "rms_after"),
+            path, parameters, joints,
+            _rms(document.get("held_out") or {}, "floor", "rms_after")
+            or _rms(document.get("position") or {}, "rms_usual", "rms_after"),
             _rms(document.get("effort") or {}, "rms_usual", "rms_after"),
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.not_separated import state_not_separated
 from pytest_twin.diagnosis.patched.frequency import frequency_responses
 from pytest_twin.diagnosis.patched.model import read_patched_model
 from pytest_twin.diagnosis.patched.write import RecordingSettings, load_written, write_realization
@@ -78,6 +79,10 @@ def write_diagnosis(  # noqa: PLR0913
         frequency = frequency_responses(fitted, found.tested.trials.held_out or trials.fit)
     said = {**found.to_json(realization=f"{REALIZATION}/"), "frequency_response": frequency}
     said["basis"] = _basis(realization, trials, record_folder or folder)
+    twin = realization.twin
+    state_not_separated(
+        said, realization.path if twin is None else twin.path, record_folder or folder
+    )
     atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(said, indent=2, allow_nan=False) + "\n")
     progress(0.96)
     view = view_of(found, said, patched, model)

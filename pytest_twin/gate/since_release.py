@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pytest_twin.diagnosis.not_separated import state_not_separated
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.temporary import temporary_folder
@@ -97,6 +98,7 @@ def _of_robot(
             }
         },
     )
+    state_not_separated(document, twin.path, folder)
     with results.result_folder(folder, DIAGNOSIS_FILE) as staging:
         write_comparison(staging, document)
     return (

@@ -9,7 +9,13 @@ from typing import Any
 import jinja2
 
 from pytest_twin.report.diagnosis import spans_in_words
-from pytest_twin.report.finding_words import ambiguity_sentence, meaning_of, percent, place
+from pytest_twin.report.finding_words import (
+    ambiguity_sentence,
+    meaning_of,
+    percent,
+    place,
+    to_confirm,
+)
 from pytest_twin.report.page import style_of, template
 from pytest_twin.report.text import number, quantity
 
@@ -32,7 +38,7 @@ def words(document: Mapping[str, Any]) -> list[str]:
         lines += [f"  {line}" for line in _before_and_after(finding)]
         lines.append(f"    Confidence: {percent(finding['confidence'])}. {_gain(finding)}")
         if rivals := ambiguity_sentence(finding):
-            lines.append(f"    {rivals}")
+            lines += [f"    {rivals}", f"    {to_confirm(finding)}"]
     signal, errors = _residuals(document)
     lines.append(f"  RMS residual of the {signal}, usual, now, and with the changes:")
     width = max(len(joint) for joint in errors)

@@ -63,16 +63,20 @@ def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
 
 
 def ambiguity_sentence(finding: Mapping[str, Any]) -> str:
-    """Return a sentence with effects that the recordings do not separate from a finding, or ""."""
-    rivals = [a for a in finding["alternatives"] if a["confidence"] >= 1.0 - SURE]
-    listed = " or ".join(f"{place_of_set(a)} ({percent(a['confidence'])})" for a in rivals)
-    return f"Ambiguous: it may also be {listed}." if listed else ""
+    """Return a sentence with the names that the recordings do not separate, or ""."""
+    stated = finding.get("not_separated")
+    if stated is None:
+        return ""
+    names = [f"{one['name']} ({percent(one['confidence'])})" for one in stated["names"]]
+    return f"These recordings do not separate {join_words(names)}."
 
 
 def to_confirm(finding: Mapping[str, Any]) -> str:
     """Return a sentence with the next recording to make."""
     test = str(finding["next_test"])
-    return f"To confirm: {test}{'' if test.endswith('.') else '.'}"
+    # A full stop after a command would be copied with it.
+    is_complete = test.endswith(".") or "command" in finding.get("not_separated", {})
+    return f"To confirm: {test}{'' if is_complete else '.'}"
 
 
 def place(item: Mapping[str, Any]) -> str:

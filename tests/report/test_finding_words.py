@@ -89,15 +89,15 @@ def test_the_gain_states_which_error_it_removes_or_adds() -> None:
     )
 
 
-def test_alternatives_above_10_percent_confidence_are_named() -> None:
-    rivals = [
-        {"effect": "stribeck_friction", "joint": "elbow", "confidence": 0.3},
-        {"effect": "sensor_delay", "joint": None, "confidence": 0.05},
+def test_names_that_the_recordings_do_not_separate_are_listed_with_their_shares() -> None:
+    names = [
+        {"name": "coulomb_friction@elbow", "confidence": 0.62},
+        {"name": "stribeck_friction@elbow", "confidence": 0.3},
     ]
-    said = finding("coulomb_friction") | {"alternatives": rivals}
-    assert (
-        ambiguity_sentence(said)
-        == "Ambiguous: it may also be Stribeck friction at joint elbow (30 %)."
+    said = finding("coulomb_friction") | {"not_separated": {"names": names, "share": 0.92}}
+    assert ambiguity_sentence(said) == (
+        "These recordings do not separate coulomb_friction@elbow (62 %) and "
+        "stribeck_friction@elbow (30 %)."
     )
     assert ambiguity_sentence(finding("coulomb_friction")) == ""
 

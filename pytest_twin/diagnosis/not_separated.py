@@ -1,0 +1,76 @@
+"""Names that recordings do not separate, and the command for the motion that does."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pytest_twin.effects import catalogue
+
+NEEDED_SHARE = 0.9
+"""Share that the names hold together."""
+_LIKELY = 1.0 - NEEDED_SHARE
+"""Smallest share of a name that counts where all names together hold less because the confidence of
+the finding was limited."""
+
+
+def state_not_separated(document: dict[str, Any], model: Path, folder: Path) -> None:
+    """Add ``not_separated`` and the command to the findings of a diagnosis, in place.
+
+    Args:
+        document: content of ``diagnosis.json``.
+        model: MODEL of the command.
+        folder: folder of the diagnosis.
+    """
+    for finding in document["findings"]:
+        names = not_separated(finding)
+        if not names:
+            continue
+        shares = [one["confidence"] for one in names]
+        stated: dict[str, Any] = {"names": names, "share": round(min(sum(shares), 1.0), 4)}
+        pair = [one["name"] for one in names if _is_of_a_motion(one)][:2]
+        if len(pair) == 2:
+            stated["command"] = shlex.join([
+                "pytest-twin", "excite", _shown(model), "--separate", ",".join(pair),
+                "--diagnosis", _shown(folder), "--out", "separating_motion",
+            ])  # fmt: skip
+            finding["next_test"] = f"{finding['next_test'].rstrip('.')}; or {stated['command']}"
+        finding["not_separated"] = stated
+
+
+def not_separated(finding: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the smallest set of names that together hold 90 %; empty for a single name.
+
+    Each has ``name`` (``EFFECT@JOINT``; several effects joined by ``+``) and ``confidence``.
+    """
+    names = [
+        {"name": "+".join(_names(one)), "confidence": one["confidence"]}
+        for one in (finding, *finding["alternatives"])
+    ]
+    names.sort(key=lambda one: -float(one["confidence"]))
+    share = 0.0
+    for count, one in enumerate(names, 1):
+        share += one["confidence"]
+        if share >= NEEDED_SHARE:
+            return names[:count] if count > 1 else []
+    likely = [one for one in names if one["confidence"] >= _LIKELY]
+    return likely if len(likely) > 1 else []
+
+
+def _names(item: Mapping[str, Any]) -> Iterator[str]:
+    for one in (item, *item.get("together_with", ())):
+        yield one["effect"] if one.get("joint") is None else f"{one['effect']}@{one['joint']}"
+
+
+def _is_of_a_motion(one: Mapping[str, Any]) -> bool:
+    """Whether ``excite --separate`` takes the name: one effect that a free motion can show."""
+    law = catalogue().get(one["name"].split("@")[0])
+    return "+" not in one["name"] and law is not None and law.candidate and law.family != "contact"
+
+
+def _shown(path: Path) -> str:
+    """The path from the working folder, absolute if it is elsewhere."""
+    path = path.absolute()
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
