@@ -137,11 +137,6 @@ class Structure:
         wanted = frozenset(joints)
         return self._cached(("carried", wanted), lambda: self._carried(wanted))
 
-    def gravity_load(self, joints: Iterable[str]) -> frozenset[str]:
-        """Ids of the parts that determine the gravity torque of ``joints``: :meth:`carried` and
-        gravity."""
-        return self.carried(joints) | {self._id("option:gravity")}
-
     def dynamics(self, joints: Iterable[str] | None = None) -> frozenset[str]:
         """Ids of the parts that determine the motion of ``joints`` (all joints by default).
 
@@ -214,10 +209,6 @@ class Structure:
             found.append(body)
             body = self.body_parent[body]
         return tuple(found)
-
-    def descendants(self, body: str) -> frozenset[str]:
-        """``body`` and all bodies below it."""
-        return frozenset(b for b in self.body_parent if body in self.ancestors(b))
 
     def _chain(self, frames: frozenset[str]) -> frozenset[str]:
         bodies: set[str] = set()

@@ -123,6 +123,13 @@ def test_a_diagnosis_imports_neither_distributions_nor_filters_of_scipy() -> Non
     assert done.stdout.strip() == "[]"
 
 
+def test_the_worker_of_the_gate_imports_nothing_of_scipy() -> None:
+    """The import takes 0.25 s, as long as all others of the worker; checks import what they use."""
+    code = "import sys, pytest_twin.gate.worker; print('scipy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
 def test_benchmark_plants_share_no_code_with_the_package() -> None:
     concealed = (PROJECT / "benchmarks" / "concealed").glob("*.py")
     plants = [

@@ -8,9 +8,10 @@ from typing import Any
 
 from pytest_twin.commands import json_output
 from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.numbers import number
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP, recording_options
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.diagnosis.not_separated import state_not_separated
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.temporary import temporary_folder
@@ -20,11 +21,13 @@ from pytest_twin.gate.since_release import write_comparison
 from pytest_twin.loaded_model import find_model
 from pytest_twin.release.released_files import copy_release, release_folder
 from pytest_twin.report import changes
-from pytest_twin.report.text import printable
 
 NO_CHANGE, CHANGED = 0, 1
 LEVEL = 0.05
 """Default probability of an alarm if nothing changed."""
+parse_level = number(
+    lambda level: 0.0 < level <= 0.5, "a probability more than 0 and at most 0.5, such as 0.05"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,19 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=LEVEL,
         help=f"probability of an alarm if nothing changed (default: {LEVEL:g})",
     )
-
-
-def parse_level(text: str) -> float:
-    """Parse a probability between 0 and 0.5 of a command line."""
-    try:
-        level = float(text)
-    except ValueError:
-        level = 0.0
-    if not 0.0 < level <= 0.5:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: expected a probability more than 0 and at most 0.5, such as 0.05"
-        )
-    return level
 
 
 def run(args: argparse.Namespace, seconds: float) -> int:
@@ -118,7 +108,7 @@ def run(args: argparse.Namespace, seconds: float) -> int:
         state_not_separated(document, Path(request["model"]), out)
         write_comparison(staging, document)
     json_output.give(args, document)
-    show("\n".join(printable(line) for line in changes.words(document)))
+    show_lines(changes.words(document))
     show(f"report: {args.out / REPORT_FILE}")
     return NO_CHANGE if document["verdict"] == "no_change" else CHANGED
 

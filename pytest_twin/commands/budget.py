@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,10 @@ from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.release_folder import TWIN_HELP, twin_file
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.formats import atomic
 from pytest_twin.report import budget
-from pytest_twin.report.text import printable
 
 EXAMPLES = (
     "pytest-twin budget twin.yaml --out budget/",
@@ -62,10 +60,10 @@ def run(args: argparse.Namespace) -> int:
                 },
                 progress=progress,
             )
-            atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")
+            atomic.write_json(staging / JSON_NAME, document)
             atomic.write_text(staging / PAGE_NAME, budget.render(document))
         json_output.give(args, document)
-        show("\n".join(printable(line) for line in _words(document)))
+        show_lines(_words(document))
         show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")
         return 0
 

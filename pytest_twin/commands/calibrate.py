@@ -10,7 +10,7 @@ from typing import Any
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         with progress:
             document = calibrate_into(out, args.plan, args.seconds, stop, progress)
         json_output.give(args, document)
-        show(_words(document, out / FILE_NAME))
+        show_lines(_words(document, out / FILE_NAME))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
 
 
@@ -132,7 +132,7 @@ def calibrate_into(
     return placed
 
 
-def _words(document: dict[str, Any], path: Path) -> str:
+def _words(document: dict[str, Any], path: Path) -> list[str]:
     lines = [f"{document['verdict'].capitalize()}: {document['calibration']}"]
     lines += [f"  because {reason}" for reason in document["reasons"]]
     for name, record in document["records"].items():
@@ -161,7 +161,7 @@ def _words(document: dict[str, Any], path: Path) -> str:
     lines += [f"not observable: {one}" for one in document["unobservable"]]
     lines += [f"note: {one}" for one in document["notes"]]
     lines.append(f"report: {path.with_name(PAGE_NAME)}")
-    return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)
+    return lines
 
 
 def _record(name: str, record: dict[str, Any]) -> list[str]:

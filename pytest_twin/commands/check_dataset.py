@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from pytest_twin.commands import json_output, model_files
@@ -74,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             },
             progress=progress,
         )
-        atomic.write_text(staging / MAIN, json.dumps(document, indent=2) + "\n")
+        atomic.write_json(staging / MAIN, document)
         atomic.write_text(staging / _PAGE, render(document))
     json_output.give(args, document)
     show(text(document))

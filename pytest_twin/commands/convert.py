@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from pytest_twin.commands.recording_arguments import (
     parse_trial,
     reading_options,
 )
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.errors import RecordingError, TwinError
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.mcap import write_recording
@@ -29,7 +28,6 @@ from pytest_twin.formats.recordings.candidates import pairs, topics_option, what
 from pytest_twin.formats.ros_serialization import QUANTITIES
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import COMMAND_MODES, RecordingOptions
-from pytest_twin.report.text import printable
 from pytest_twin.trial.stream_checks import doubts
 
 EXAMPLES = (
@@ -105,10 +103,10 @@ def run(args: argparse.Namespace) -> int:
         )
         for written in summary["written"]:
             written["file"] = str(out.with_name(Path(written["file"]).name))
-        atomic.write_text(staging / data_name, json.dumps(summary, indent=2) + "\n")
+        atomic.write_json(staging / data_name, summary)
     json_output.give(args, summary)
     # Names come from files and may contain terminal escape sequences.
-    show("\n".join(printable(line) for line in _words(summary["written"])))
+    show_lines(_words(summary["written"]))
     return DONE
 
 

@@ -17,7 +17,7 @@ from pytest_twin.commands.recording_arguments import (
     add_recordings,
     recording_options,
 )
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.temporary import temporary_folder
@@ -27,7 +27,6 @@ from pytest_twin.loaded_model import find_model
 from pytest_twin.processor_time import call_began
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
-from pytest_twin.report.text import printable
 
 EXAMPLES = (
     "pytest-twin diagnose twin.yaml moves.mcap sines.mcap --held-out check.mcap --out diagnosis",
@@ -140,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
                 out, args.model, args.recordings, args.held_out, arguments, stop, progress
             )
         json_output.give(args, json.loads((out / DIAGNOSIS_FILE).read_text("utf-8")))
-        show("\n".join(printable(text) for text in summary["words"]))
+        show_lines(summary["words"])
         show(f"report: {args.out / REPORT_FILE}")
         if viewers:
             _write_viewer_files(viewers, out, drawn, arguments)

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.loaded_model import find_model
 from pytest_twin.report import excitation
-from pytest_twin.report.text import printable
 from pytest_twin.words import counted, list_names
 
 EXAMPLES = (
@@ -103,12 +101,12 @@ def run(args: argparse.Namespace) -> int:
                 show(blank["template"])
             designed = sandbox.call(*_design(args, model, staging), progress=progress)
             document, abort = designed["document"], designed["abort"]
-            atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
-            atomic.write_text(staging / ABORT_NAME, json.dumps(abort, indent=2) + "\n")
+            atomic.write_json(staging / FILE_NAME, document)
+            atomic.write_json(staging / ABORT_NAME, abort)
             page = excitation.render(document, abort, designed["drawn"])
             atomic.write_text(staging / PAGE_NAME, page)
         json_output.give(args, document)
-        show("\n".join(printable(line) for line in _summary(args, document, out)))
+        show_lines(_summary(args, document, out))
         complete = document["verdict"] in ("identifiable", "separable")
         return IDENTIFIABLE if complete else NOT_IDENTIFIABLE
 

@@ -13,11 +13,10 @@ from pytest_twin.asset.loss.render import html
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.export.target import TARGETS, exporter
 from pytest_twin.formats import atomic, typed
 from pytest_twin.loaded_model import find_model
-from pytest_twin.report.text import printable
 
 EXAMPLES = (
     "pytest-twin export diagnosis --to mujoco --out plain",
@@ -80,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
             progress=progress,
         )
     json_output.give(args, document)
-    show("\n".join(printable(line) for line in words(document)))
+    show_lines(words(document))
     show(f"loss matrix: {args.out / LOSS_FILE}")
     return DONE
 

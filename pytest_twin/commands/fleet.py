@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -262,7 +261,7 @@ def run(args: argparse.Namespace, arguments: Mapping[str, Any], task: Task = DIA
         outcomes = outcomes_of(robots, options, executor, task)
         document = _document(outcomes)
         with results.result_folder(out, FLEET_FILE) as staging:
-            atomic.write_text(staging / FLEET_FILE, json.dumps(document, indent=2) + "\n")
+            atomic.write_json(staging / FLEET_FILE, document)
         json_output.give(args, document)
         width = max(len(o.name) for o in outcomes)
         for o in outcomes:

@@ -10,7 +10,7 @@ from pytest_twin import release
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.release_folder import TWIN_HELP, twin_folder
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.errors import ReleaseError
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.asset_chain import chain_of, changes_since, lost_manifests
@@ -18,7 +18,6 @@ from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release import stamps
 from pytest_twin.release.environment import engine_changes
 from pytest_twin.release.released_files import copy_release, release_folder
-from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, load_twin
 from pytest_twin.words import counted
 
@@ -91,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
         ],
     }
     json_output.give(args, document)
-    show("\n".join(printable(line) for line in _words(document)))
+    show_lines(_words(document))
     return FRESH if document["verdict"] == "fresh" else STALE
 
 

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.numbers import number
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
     add_recordings,
     recording_options,
 )
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.formats import atomic
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
 from pytest_twin.report import identification
-from pytest_twin.report.text import printable
 
 EXAMPLES = (
     "pytest-twin identify twin.yaml fourier.mcap --held-out check.mcap --out identified",
@@ -35,6 +35,9 @@ EXIT_STATUS = {
 }
 ACCEPTED, NOT_ACCEPTED = 0, 1
 FILE_NAME, PAGE_NAME = "identification.json", "identification.html"
+
+
+_POSITIVE = number(lambda value: 0.0 < value < math.inf, "a number greater than 0")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,14 +107,14 @@ def _add_toss_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--length-unit",
         metavar="M",
-        type=positive_number,
+        type=_POSITIVE,
         help="length of one unit of the .npz file in m (default: detected from the free fall at "
         "the start of the tosses, and reported)",
     )
     group.add_argument(
         "--rate",
         metavar="HZ",
-        type=positive_number,
+        type=_POSITIVE,
         help="sampling rate of the .npz file in Hz (default: detected from displacements and "
         "velocities, and reported)",
     )
@@ -124,17 +127,6 @@ def parse_sensor(text: str) -> dict[str, str]:
     if not (name and topic and frame):
         raise argparse.ArgumentTypeError(f"{text!r}: expected NAME=TOPIC@FRAME")
     return {"name": name, "topic": topic, "frame": frame}
-
-
-def positive_number(text: str) -> float:
-    """Parse a finite number greater than 0 of a command line."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number greater than 0")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -166,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
                 out, args.model, args.recordings, args.held_out, arguments, stop, progress
             )
         json_output.give(args, document)
-        show("\n".join(printable(line) for line in _words(document, args.out)))
+        show_lines(_words(document, args.out))
     return ACCEPTED if document["verdict"] == "accepted" else NOT_ACCEPTED
 
 
@@ -209,7 +201,7 @@ def identify_into(
             },
             progress=progress,
         )
-        atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
+        atomic.write_json(staging / FILE_NAME, document)
         atomic.write_text(staging / PAGE_NAME, identification.render(document))
     return document
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -276,7 +275,7 @@ def _set_up(
         else {"manifest": str(brought.manifest), "copied_from": str(asset[0])},
     }
     json_output.give(args, summary)
-    atomic.write_text(folder / ".twin" / "init.json", json.dumps(summary, indent=2) + "\n")
+    atomic.write_json(folder / ".twin" / "init.json", summary)
     kinds = sorted({Path(golden).parts[-2] for golden in recorded})
     show(f"{twin_file}: {len(recorded)} goldens of {len(kinds)} kinds: {', '.join(kinds)}")
     for kind, why in found["none"].items():

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.numbers import number
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -16,12 +16,11 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.release_folder import TWIN_HELP, twin_file
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.formats import atomic
 from pytest_twin.ranges.files import write_files
 from pytest_twin.report import ranges
-from pytest_twin.report.text import printable
 
 EXAMPLES = (
     "pytest-twin randomize twin.yaml --out ranges/",
@@ -67,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--share",
         metavar="P",
-        type=fraction,
+        type=number(lambda share: 0.5 < share < 1.0, "a fraction between 0.5 and 1, such as 0.95"),
         help="fraction of the samples that should lie in the envelope (default: as in twin.yaml, "
         "else 0.95)",
     )
@@ -98,19 +97,6 @@ def robots(text: str) -> int:
             f"{text!r}: expected a whole number of at least {_FEWEST_ROBOTS} robots"
         )
     return count
-
-
-def fraction(text: str) -> float:
-    """Parse the fraction of samples of a command line."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.5 < value < 1.0:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: expected a fraction between 0.5 and 1, such as 0.95"
-        )
-    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -145,11 +131,11 @@ def run(args: argparse.Namespace) -> int:
                 },
                 progress=progress,
             )
-            atomic.write_text(staging / JSON_NAME, json.dumps(document, indent=2) + "\n")
+            atomic.write_json(staging / JSON_NAME, document)
             atomic.write_text(staging / PAGE_NAME, ranges.render(document))
             write_files(staging)
         json_output.give(args, document)
-        show("\n".join(printable(line) for line in _words(document)))
+        show_lines(_words(document))
         show(f"report: {out / PAGE_NAME}, {out / JSON_NAME}")
         return 0 if document["verdict"] == "useful" else 1
 

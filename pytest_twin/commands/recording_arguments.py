@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+from pytest_twin.commands.numbers import number
 from pytest_twin.formats.base_pose import ROLE
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.recording_options import (
@@ -90,7 +91,10 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--controller-period",
         metavar="SECONDS",
-        type=parse_period,
+        type=number(
+            lambda period: 0.0 < period <= LONGEST_PERIOD,
+            f"a period in s, more than 0 and at most {LONGEST_PERIOD:g}",
+        ),
         help="update period of a controller that plays trajectories and holds each setpoint for "
         "it: 0.008, for example (default: the trial's metadata or twin.yaml, else the setpoint "
         "moves on continuously, with a note)",
@@ -196,19 +200,6 @@ def options_as_typed(args: argparse.Namespace) -> str:
             w for value in getattr(args, name, []) for w in (f"--{name}", shlex.quote(str(value)))
         ]
     return "".join(f" {word}" for word in words)
-
-
-def parse_period(text: str) -> float:
-    """Parse a period in s, such as 0.008, of a command line."""
-    try:
-        period = float(text)
-    except ValueError:
-        period = 0.0
-    if not 0.0 < period <= LONGEST_PERIOD:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: expected a period in s, more than 0 and at most {LONGEST_PERIOD:g}"
-        )
-    return period
 
 
 def parse_topics(text: str) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
     recording_options,
 )
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic, results
 from pytest_twin.formats.mcap import write_recording
@@ -103,10 +102,10 @@ def run(args: argparse.Namespace) -> int:
             progress=progress,
         )
         summary["prediction"] = str(out.absolute())
-        atomic.write_text(staging / data_name, json.dumps(summary, indent=2) + "\n")
+        atomic.write_json(staging / data_name, summary)
         atomic.write_text(staging / page_name, page.render(summary))
     json_output.give(args, summary)
-    show(_words(summary))
+    show_lines(_words(summary))
     viewer_files.tell(viewers)
     return DONE
 
@@ -214,7 +213,7 @@ def replay_file(
     }
 
 
-def _words(summary: Mapping[str, Any]) -> str:
+def _words(summary: Mapping[str, Any]) -> list[str]:
     between = summary["command_between"]
     said = f"  commands are {between['value']} between their stamps"
     if between["source"] == "assumed":
@@ -243,8 +242,7 @@ def _words(summary: Mapping[str, Any]) -> str:
         lines.append(f"  {name}: rms {', '.join(channels)}")
     lines += [f"  {line}" for line in describe_marks(summary["marks"])]
     lines += [f"  note: {note}" for note in summary["notes"]]
-    # Names and notes come from files and may contain terminal escape sequences.
-    return "\n".join("".join(c if c.isprintable() else "�" for c in line) for line in lines)
+    return lines
 
 
 def _shorten(value: float) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -46,6 +45,6 @@ def audit_robot(
             shutil.copyfile(expansion.urdf, staging / f"{name}{EXPANDED}")
         renders = document.pop("renders", [])
         located = document.pop("located", [])
-        atomic.write_text(staging / f"{name}.json", json.dumps(document, indent=2) + "\n")
+        atomic.write_json(staging / f"{name}.json", document)
         atomic.write_text(staging / f"{name}.html", render(document, renders))
     return document, located

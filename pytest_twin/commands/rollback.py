@@ -7,10 +7,9 @@ from pathlib import Path
 
 from pytest_twin.commands import json_output
 from pytest_twin.commands.release_folder import RELEASE_HELP, TWIN_HELP, release_folder
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.errors import ReleaseError
 from pytest_twin.release.rollback import Rollback, plan, restore, resume
-from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, PENDING_ROLLBACK
 from pytest_twin.words import counted
 
@@ -81,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
             "resumed": is_pending,
         },
     )
-    show("\n".join(printable(line) for line in (*lines, *_words(done, root, args.dry_run))))
+    show_lines((*lines, *_words(done, root, args.dry_run)))
     return DONE
 
 

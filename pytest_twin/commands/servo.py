@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import typed
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.report.text import printable
 from pytest_twin.servos import library
 
 EXAMPLES = (
@@ -62,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "list":
         known = library.servos()
         json_output.give(args, {"schema": 1, "servos": [typed.plain(s) for s in known.values()]})
-        show("\n".join(printable(f"{s.id}: {s.maker} {s.model}") for s in known.values()))
+        show_lines(f"{s.id}: {s.maker} {s.model}" for s in known.values())
         return DONE
     if args.name is None:
         raise TwinError(
@@ -72,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "show":
         servo = library.find(args.name)
         json_output.give(args, {"schema": 1, "servos": [typed.plain(servo)]})
-        show("\n".join(printable(line) for line in library.page(servo).splitlines()))
+        show_lines(library.page(servo).splitlines())
         return DONE
     return _add(args)
 

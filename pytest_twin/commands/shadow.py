@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP
 from pytest_twin.commands.release_folder import RELEASE_HELP, release_folder
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import atomic
@@ -20,7 +19,6 @@ from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.release.released_files import copy_release, read_authentic_now
-from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, Twin, load_twin
 
 EXAMPLES = (
@@ -118,10 +116,10 @@ def run(args: argparse.Namespace) -> int:
         if args.promote and spec is not None and document["verdict"] == "better":
             record = candidate.shadow_record(spec.id)
             atomic.make_folder(record.parent)
-            atomic.write_text(record, json.dumps(document, indent=2) + "\n")
+            atomic.write_json(record, document)
             lines.append(f"promoted: {record}")
             lines.append("next: pytest --twin-release")
-        show("\n".join(printable(line) for line in lines))
+        show_lines(lines)
         return BETTER if document["verdict"] == "better" else REJECTED
 
 

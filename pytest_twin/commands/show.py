@@ -15,13 +15,12 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.recording_summary import episodes_in_words, in_words, survey
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.loaded_model import find_model, load_model
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.recording_options import RecordingOptions
-from pytest_twin.report.text import printable
 from pytest_twin.twin import model_suffixes
 
 EXAMPLES = (
@@ -75,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         else episodes_in_words(found, args.model, options)
     )
     # Names come from files and may contain terminal escape sequences.
-    show("\n".join(printable(line) for line in lines))
+    show_lines(lines)
     return DONE
 
 

@@ -7,10 +7,9 @@ from pathlib import Path
 
 from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.release_folder import RELEASE_HELP, release_folder
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.release import stamps
 from pytest_twin.release.stamp import PARTS, VARIANTS
-from pytest_twin.report.text import printable
 from pytest_twin.words import counted
 
 EXAMPLES = (
@@ -92,5 +91,5 @@ def run(args: argparse.Namespace) -> int:
         for one in found
         for part, name in one.undeclared.items()
     ]
-    show("\n".join(printable(line) for line in lines))
+    show_lines(lines)
     return DONE

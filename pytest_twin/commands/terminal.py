@@ -9,7 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from collections.abc import Iterable
 from typing import TextIO
+
+from pytest_twin.report.text import printable
 
 _failure: OSError | None = None
 """The first failure of output since :func:`take_failure`."""
@@ -39,6 +42,11 @@ def show(text: str, *, error: bool = False) -> None:
     for pattern, style in _RULES:
         styled.highlight_regex(pattern, style)
     Console(file=stream, highlight=False).print(styled, soft_wrap=True)
+
+
+def show_lines(lines: Iterable[str]) -> None:
+    """Print lines, whose names come from files and may contain terminal escape sequences."""
+    show("\n".join(printable(line) for line in lines))
 
 
 def show_error(command: str, text: str) -> None:

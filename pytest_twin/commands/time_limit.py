@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 
+from pytest_twin.commands.numbers import number
+
 MOST_SECONDS = 7 * 24 * 3600.0
 """Largest limit, s."""
 _WALL_SECONDS, _WALL_PER_SECOND = 4 * 3600.0, 20.0
@@ -23,24 +25,14 @@ def add_seconds(parser: argparse.ArgumentParser, default: float, at_the_limit: s
     parser.add_argument(
         "--seconds",
         metavar="N",
-        type=seconds,
+        type=number(
+            lambda limit: 0.0 <= limit <= MOST_SECONDS,
+            f"processor seconds, 0 to {MOST_SECONDS:g} (0: no limit)",
+        ),
         default=default,
         help="limit of the processor time in processor seconds, all cores together, at which "
         f"{at_the_limit} (default: {shown}); Ctrl-C and SIGTERM do the same at once",
     )
-
-
-def seconds(text: str) -> float:
-    """Parse a limit in s, 0 or more."""
-    try:
-        limit = float(text)
-    except ValueError:
-        limit = -1.0
-    if not 0.0 <= limit <= MOST_SECONDS:
-        raise argparse.ArgumentTypeError(
-            f"got {text!r}, expected processor seconds, 0 to {MOST_SECONDS:g} (0: no limit)"
-        )
-    return limit
 
 
 def wall_limit(limit: float) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,13 @@ from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
     recording_options,
 )
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.commands.time_limit import add_seconds
 from pytest_twin.errors import TwinError
 from pytest_twin.formats import atomic
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
 from pytest_twin.report import trend
-from pytest_twin.report.text import printable
 
 EXAMPLES = (
     "pytest-twin trend twin.yaml recordings/*.mcap --out trend",
@@ -95,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
             args.out.absolute(), args.model, args.recordings, arguments, stop, progress
         )
     json_output.give(args, document)
-    show("\n".join(printable(line) for line in trend.words(document)))
+    show_lines(trend.words(document))
     show(f"report: {args.out / PAGE_NAME}")
     return NO_ALARM if document["verdict"] == "no_alarm" else ALARM
 
@@ -125,7 +123,7 @@ def follow_into(
         document: dict[str, Any] = sandbox.call(
             "pytest_twin.trend.trend:follow_files", {"request": request}, progress=progress
         )
-        atomic.write_text(staging / FILE_NAME, json.dumps(document, indent=2) + "\n")
+        atomic.write_json(staging / FILE_NAME, document)
         # Of a robot of a fleet, only joints with an alarm are drawn.
         page = trend.render(document, every=progress is not None)
         atomic.write_text(staging / PAGE_NAME, page)

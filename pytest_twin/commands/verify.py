@@ -10,7 +10,7 @@ from pathlib import Path
 from pytest_twin import release
 from pytest_twin.commands import json_output
 from pytest_twin.commands.release_folder import RELEASE_HELP, release_folder
-from pytest_twin.commands.terminal import show
+from pytest_twin.commands.terminal import show_lines
 from pytest_twin.errors import ReleaseError, TwinError
 from pytest_twin.formats.stamps import is_carrier
 from pytest_twin.gate.coverage import Gap, gaps
@@ -22,7 +22,6 @@ from pytest_twin.release.folder import RELEASES
 from pytest_twin.release.rollback import changed_files
 from pytest_twin.release.stamp import StampVerdict
 from pytest_twin.release.verify import ENVELOPE
-from pytest_twin.report.text import printable
 from pytest_twin.twin import FILE_NAME, load_twin
 from pytest_twin.words import counted, list_names
 
@@ -90,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             "engines": engines,
         },
     )
-    show("\n".join((_words(verdict, folder, untested, differences), *(f"  {e}" for e in engines))))
+    show_lines([*_words(verdict, folder, untested, differences), *(f"  {e}" for e in engines)])
     return HOLDS if verdict.holds else DOES_NOT_HOLD
 
 
@@ -143,7 +142,7 @@ def _verify_stamps(args: argparse.Namespace) -> int:
     if holds:
         lines.append(f"  {counted(len(found), 'stamped file')}, signed by a trusted key")
     lines += [f"  {path}: {problem}" for path, v in verdicts.items() for problem in v.problems]
-    show("\n".join(printable(line) for line in lines))
+    show_lines(lines)
     return HOLDS if holds else DOES_NOT_HOLD
 
 
@@ -171,7 +170,7 @@ def _check_outside(path: Path, folder: Path) -> None:
 
 def _words(
     verdict: release.Verdict, folder: Path, untested: Sequence[Gap], differences: Sequence[str]
-) -> str:
+) -> list[str]:
     found = verdict.release
     if found is None:
         lines = [f"does not hold: {folder}"]
@@ -199,5 +198,4 @@ def _words(
             "pytest --twin-why says what is stale"
         )
     lines += [f"  {problem.text}" for problem in verdict.problems]
-    # Statements and file names may contain terminal escape sequences.
-    return "\n".join(printable(line) for line in lines)
+    return lines

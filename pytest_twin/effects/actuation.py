@@ -412,7 +412,6 @@ class Cogging(Effect):
         "harmonic: periods per turn on a hinge"
     )
     source = "Holtz, Springob, IEEE Trans. Ind. Electron. 43 (1996): torque ripple"
-    depends_only_on_position = True
     parameters = (
         Parameter("sine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort", meaning="sine amplitude"),
         Parameter("cosine", "effort", 0.0, -2.0, 2.0, (0.1,), "effort", meaning="cosine amplitude"),

@@ -394,7 +394,6 @@ class Effect:
         needs_effort_sensor: whether only readings of effort can show it.
         needs_temperature: whether a hook reads the temperature of a trial.
         nearly_linear: whether the change of the motion is nearly proportional to the parameters.
-        depends_only_on_position: whether its effort depends on the joint position alone.
         dry_friction_level: name of the parameter that is a constant level of dry friction; None
             without one.
         candidate: whether the search proposes it.
@@ -428,7 +427,6 @@ class Effect:
     needs_effort_sensor: ClassVar[bool] = False
     needs_temperature: ClassVar[bool] = False
     nearly_linear: ClassVar[bool] = False
-    depends_only_on_position: ClassVar[bool] = False
     dry_friction_level: ClassVar[str | None] = None
     candidate: ClassVar[bool] = True
     stage: ClassVar[StageOfEffect] = "closed_loop"

@@ -23,7 +23,6 @@ class JointSpring(Effect):
     nearly_linear = True
     law = "effort = preload - stiffness q"
     source = "Siciliano et al., Robotics (2009), sec. 7.2"
-    depends_only_on_position = True
     parameters = (
         Parameter(
             "stiffness", "stiffness", 0.0, -2.0, 20.0, (0.1,), "stiffness",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import stat
 from collections.abc import Iterator
@@ -79,6 +80,15 @@ def write_bytes(path: Path, data: bytes) -> None:
     """
     with open_replacement(path) as stream:
         stream.write(data)
+
+
+def write_json(path: Path, document: object) -> None:
+    """Write a document as indented JSON.
+
+    Raises:
+        PathError: as :func:`open_replacement`.
+    """
+    write_text(path, json.dumps(document, indent=2) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -6,7 +6,6 @@ recording is compared with those that proved the release.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -110,5 +109,5 @@ def _of_robot(
 
 def write_comparison(folder: Path, document: dict[str, Any]) -> None:
     """Write the document of a comparison and its page."""
-    atomic.write_text(folder / DIAGNOSIS_FILE, json.dumps(document, indent=2) + "\n")
+    atomic.write_json(folder / DIAGNOSIS_FILE, document)
     atomic.write_text(folder / REPORT_FILE, changes.render(document))

@@ -111,7 +111,7 @@ def add_effects(folder: Path, joints: tuple[str, ...], new: Sequence[AppliedEffe
         effects.append(_after(same[0], one, patched) if same else one)
     every = (*patched.joints, *(joint for joint in joints if joint not in patched.joints))
     written = effects_json(replace(patched, joints=every, effects=tuple(effects)))
-    atomic.write_text(folder / EFFECTS_FILE, json.dumps(written, indent=2) + "\n")
+    atomic.write_json(folder / EFFECTS_FILE, written)
 
 
 def _after(before: AppliedEffect, new: AppliedEffect, patched: PatchedModel) -> AppliedEffect:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.formats import xml
@@ -98,6 +97,9 @@ def _restate(origin: Any, path: Path) -> StatedQuaternion:
             value=f"length {length:.6g} of {text}",
             expected="a unit quaternion x y z w, such as 0 0 0 1",
         )
+    # Few robots have quaternions, and the import takes longer than that of MuJoCo.
+    from scipy.spatial.transform import Rotation
+
     angles = _roll_pitch_yaw(Rotation.from_quat(quaternion).as_matrix())
     rpy = " ".join(repr(float(angle)) for angle in angles)
     del origin.attrib[QUATERNION]

@@ -118,9 +118,6 @@ def test_the_load_of_a_joint_consists_of_the_bodies_it_carries() -> None:
     load = structure().carried(["left_a"])
     assert short(load, "inertia") == {"left_upper", "left_lower"}
     assert short(load, "kinematics") == {"left_base", "left_upper", "left_lower"}
-    assert structure().gravity_load(["left_b"]) == structure().carried(["left_b"]) | {
-        "m/option:gravity"
-    }
 
 
 def test_unknown_names_become_dependencies_on_missing_parts() -> None:

@@ -120,12 +120,36 @@ def test_a_quick_diagnosis_that_raises_an_error_prints_one_line(
         assert "no_such" in line
 
 
+STORED = """\
+import json, pathlib, shutil
+from pytest_twin.realization.sandbox import Sandbox
+call = Sandbox.call
+stored = pathlib.Path({folder!r})
+def stored_call(self, function, arguments, **more):
+    if function != "pytest_twin.gate.worker:diagnose":
+        return call(self, function, arguments, **more)
+    if stored.is_dir():
+        shutil.copytree(stored / "out", arguments["out"], dirs_exist_ok=True)
+        return json.loads((stored / "answer.json").read_text())
+    answer = call(self, function, arguments, **more)
+    shutil.copytree(arguments["out"], stored / "out")
+    (stored / "answer.json").write_text(json.dumps(answer))
+    return answer
+Sandbox.call = stored_call
+"""
+"""Plugin that stores the result of the first diagnosis for all later ones."""
+
+
 def diagnosed_copy(delayed: Path, folder: Path, *arguments: str) -> tuple[Path, str]:
     """A copy of the twin after a full diagnosis, and the output of the run."""
     root = folder / "arm"
     shutil.copytree(delayed, root)
     shutil.rmtree(root / ".twin", ignore_errors=True)
-    return root, run(root, "--twin-diagnose", *arguments).stdout
+    (root / "stored.py").write_text(STORED.format(folder=str(delayed.parent / "stored")))
+    text = run(root, "-p", "stored", "--twin-diagnose", *arguments).stdout
+    (root / "stored.py").unlink()
+    shutil.rmtree(root / "__pycache__", ignore_errors=True)
+    return root, text
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +182,9 @@ def test_the_full_diagnosis_is_attached_to_the_failures(diagnosed: tuple[Path, s
     assert_attached(*diagnosed)
 
 
-def test_with_xdist_the_controller_makes_the_diagnosis(delayed: Path, tmp_path: Path) -> None:
+def test_with_xdist_the_controller_makes_the_diagnosis(
+    diagnosed: tuple[Path, str], delayed: Path, tmp_path: Path
+) -> None:
     assert_attached(*diagnosed_copy(delayed, tmp_path, "-n", "2"))
 
 

@@ -60,6 +60,7 @@ def test_exactly_the_hidden_effects_are_named(
     assert not found.skipped_searches
 
 
+@pytest.mark.nightly
 @pytest.mark.xfail(
     strict=True,
     reason="510: special cases of a law and effects that no slope leads to are fitted too",

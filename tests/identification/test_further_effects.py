@@ -147,7 +147,10 @@ def test_the_drive_stage_adds_nothing_where_the_drive_is_as_in_the_model(tmp_pat
             "torque_rolloff",
             "knee",
             2.0,
-            marks=pytest.mark.xfail(reason="a gain of the servo is kept beside the roll-off"),
+            marks=[
+                pytest.mark.nightly,
+                pytest.mark.xfail(reason="a gain of the servo is kept beside the roll-off"),
+            ],
         ),
         (partial(with_lag, 0.02), "actuator_lag", "time_constant", 0.02),
     ],

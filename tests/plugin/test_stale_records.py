@@ -21,6 +21,8 @@ sys.path.append(str(Path(__file__).parents[1]))
 
 from in_process import InProcess
 
+pytestmark = pytest.mark.usefixtures("gate_in_process")
+
 
 @pytest.fixture
 def fitted(released, monkeypatch: pytest.MonkeyPatch):

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import pytest
+
+pytestmark = pytest.mark.usefixtures("gate_in_process")
 
 AUDITED = "name: arm\nmodel: arm.xml\ntcp: tcp\n"
 FALL = """\
@@ -26,9 +31,19 @@ SLIDE = (
 SAME = "that may depend on it gave the same results as before"
 
 
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the first test of this module leaves the released twin for the others."""
+    return tmp_path_factory.mktemp("touched") / "twin"
+
+
 @pytest.fixture
-def touched(recorded):
-    """The recorded twin, whose forearm can be touched and has a golden that does so."""
+def touched(recorded, store: Path):
+    """The recorded twin, whose forearm can be touched and has a golden that does so, released."""
+    folder = recorded.pytester.path
+    if store.is_dir():
+        shutil.copytree(store, folder, dirs_exist_ok=True)
+        return recorded
     for old, new in (
         (
             '0.25 0 0" size="0.02" contype="0" conaffinity="0"',
@@ -41,6 +56,7 @@ def touched(recorded):
     recorded.write("twin.yaml", AUDITED)
     assert recorded.run("--twin-update").ret == 0
     assert recorded.run("--twin-release").ret == 0
+    shutil.copytree(folder, store)
     return recorded
 
 

@@ -168,8 +168,8 @@ def test_more_robots_than_fit_in_memory_are_refused(
     [
         ("--draws", "0", "'0': expected a whole number of at least 32 robots"),
         ("--draws", "1e3", "'1e3': expected a whole number of at least 32 robots"),
-        ("--share", "95", "'95': expected a fraction between 0.5 and 1, such as 0.95"),
-        ("--share", "most", "'most': expected a fraction between 0.5 and 1, such as 0.95"),
+        ("--share", "95", "got '95', expected a fraction between 0.5 and 1, such as 0.95"),
+        ("--share", "most", "got 'most', expected a fraction between 0.5 and 1, such as 0.95"),
     ],
 )
 def test_a_number_that_cannot_be_used_is_refused(

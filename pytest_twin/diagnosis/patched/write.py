@@ -6,7 +6,6 @@ applies the listed effects.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -91,7 +90,7 @@ def write_realization(
             if not name.endswith(".xml"):
                 atomic.write_bytes(folder / name, path.read_bytes())
     atomic.write_text(folder / MODEL_FILE, text)
-    atomic.write_text(folder / EFFECTS_FILE, json.dumps(effects_json(patched), indent=2) + "\n")
+    atomic.write_json(folder / EFFECTS_FILE, effects_json(patched))
     between = recorded.between
     if realization.twin is not None:
         atomic.write_text(folder / FILE_NAME, twin_text(realization.twin, between))
