@@ -374,11 +374,8 @@ class _Reader:
 
     def _read_attached_model(self, document: Document, node: Node, file: Path, depth: int) -> None:
         if depth >= self.limits.nested_models:
-            raise LimitError(
+            raise node.limit(
                 "models nested too deep",
-                path=node.path,
-                line=node.line,
-                where=node.label,
                 expected=f"at most {self.limits.nested_models} levels",
             )
         path = self.roots.resolve(str(file), at=node.path, line=node.line)
@@ -406,11 +403,9 @@ class _Reader:
         size = path.stat().st_size
         self.bytes += size
         if size > self.limits.asset_bytes or self.bytes > self.limits.total_asset_bytes:
-            raise LimitError(
+            raise node.limit(
                 "referenced files too large",
-                path=node.path,
-                line=node.line,
-                where=f"{node.label}.{key}",
+                key,
                 value=size,
                 unit="bytes",
                 expected=f"at most {self.limits.asset_bytes} bytes each, "
@@ -442,11 +437,9 @@ class _Reader:
                 )
             self.faces += faces
             if faces > self.limits.mesh_faces or self.faces > self.limits.total_mesh_faces:
-                raise LimitError(
+                raise node.limit(
                     "too many triangles",
-                    path=node.path,
-                    line=node.line,
-                    where=f"{node.label}.{key}",
+                    key,
                     value=faces,
                     expected=f"at most {self.limits.mesh_faces} each, "
                     f"{self.limits.total_mesh_faces} in all",
@@ -454,11 +447,9 @@ class _Reader:
         if suffix == ".png" and len(content) >= 24:
             width, height = struct.unpack_from(">II", content, 16)
             if width * height > self.limits.image_pixels:
-                raise LimitError(
+                raise node.limit(
                     "image too large",
-                    path=node.path,
-                    line=node.line,
-                    where=f"{node.label}.{key}",
+                    key,
                     value=f"{width} x {height}",
                     unit="pixels",
                     expected=f"at most {self.limits.image_pixels} pixels",
@@ -516,11 +507,8 @@ class _Reader:
         copies = repeated * _copies(node, numbers)
         self.elements += copies
         if self.elements > self.limits.elements:
-            raise LimitError(
+            raise node.limit(
                 "too many elements",
-                path=node.path,
-                line=node.line,
-                where=node.label,
                 expected=f"at most {self.limits.elements}, repetitions counted out",
             )
         for child in node.children:
@@ -532,22 +520,18 @@ class _Reader:
             if key == "size" and node.tag != "numeric":
                 continue
             if any(abs(value) > self.limits.samples for value in numbers[key]):
-                raise LimitError(
+                raise node.limit(
                     "too large",
-                    path=node.path,
-                    line=node.line,
-                    where=f"{node.label}.{key}",
+                    key,
                     value=node.attributes[key],
                     expected=f"at most {self.limits.samples}",
                 )
         for keys in (("nrow", "ncol"), ("width", "height"), ("gridsize",), ("resolution",)):
             cells = math.prod(v for key in keys for v in numbers.get(key, (1.0,)))
             if abs(cells) > self.limits.image_pixels:
-                raise LimitError(
+                raise node.limit(
                     "too large",
-                    path=node.path,
-                    line=node.line,
-                    where=f"{node.label}.{keys[0]}",
+                    keys[0],
                     value=cells,
                     expected=f"at most {self.limits.image_pixels} cells",
                 )
@@ -558,11 +542,9 @@ class _Reader:
             if match is None and memory.strip() != "-1":
                 raise node.error("no size", "memory", value=memory, expected="such as '64M'")
             if match is not None and int(match[1]) * factor > self.limits.memory_bytes:
-                raise LimitError(
+                raise node.limit(
                     "asks for too much memory",
-                    path=node.path,
-                    line=node.line,
-                    where="size.memory",
+                    "memory",
                     value=memory,
                     expected=f"at most {self.limits.memory_bytes} bytes",
                 )
