@@ -76,7 +76,7 @@ class FormatError(TwinError):
 
 
 class PointerError(FormatError):
-    """A pointer of Git LFS in place of a file."""
+    """A pointer of Git LFS, or a link written as text, in place of a file."""
 
 
 class LimitError(FormatError):

@@ -219,7 +219,7 @@ class _Reader:
                     title=f"{shape.file.name}: {error.problem}",
                     unit=error.unit,
                     expected=error.expected,
-                    settle="run git lfs pull in the checkout that the robot comes from"
+                    settle=str(error.expected).partition(": ")[2]
                     if isinstance(error, PointerError)
                     else f"export {shape.file.name} again from CAD",
                 )

@@ -204,11 +204,12 @@ def open_regular(path: Path, *, links: bool = True, pointers: bool = False) -> B
 
     Args:
         links: whether it may be a link that :func:`follow` allows.
-        pointers: whether it may be a pointer of Git LFS, whose content is elsewhere.
+        pointers: whether it may be a pointer of Git LFS or a link written as text, whose content
+            is elsewhere.
 
     Raises:
         PathError: missing, unreadable, another link, or anything but a regular file.
-        PointerError: a pointer of Git LFS.
+        PointerError: a pointer of Git LFS, or a link written as text.
     """
     file = follow(path) if links else path
     try:
@@ -230,18 +231,42 @@ def open_regular(path: Path, *, links: bool = True, pointers: bool = False) -> B
             path=path,
             expected="a path to a regular file",
         )
-    if not pointers and _is_pointer(descriptor, facts.st_size):
-        os.close(descriptor)
-        raise PointerError(
-            "is a Git LFS pointer, not the file itself",
-            path=path,
-            expected="the file's content: run git lfs pull in the checkout it comes from",
-        )
+    if not pointers and facts.st_size < _POINTER_BYTES:
+        content = os.pread(descriptor, _POINTER_BYTES, 0)
+        if content.startswith(_POINTER):
+            os.close(descriptor)
+            raise PointerError(
+                "is a Git LFS pointer, not the file itself",
+                path=path,
+                expected="the file's content: run git lfs pull in the checkout it comes from",
+            )
+        target = _link_target(file, content)
+        if target is not None:
+            os.close(descriptor)
+            raise PointerError(
+                "is a link that was checked out or unpacked as text, not the file itself",
+                path=path,
+                value=target,
+                expected="the file's content: check out again where links can be made "
+                "(git config core.symlinks true), or copy the named file here",
+            )
     return os.fdopen(descriptor, "rb")
 
 
-def _is_pointer(descriptor: int, size: int) -> bool:
-    return size < _POINTER_BYTES and os.pread(descriptor, len(_POINTER), 0) == _POINTER
+def _link_target(file: Path, content: bytes) -> str | None:
+    """Target of a link that git or an archive wrote as a text file; None for another file.
+
+    Git writes the target alone, without a line feed, where links cannot be made (gitattributes,
+    core.symlinks). No format that is read here allows a file that holds only a path.
+    """
+    if not content or b"\n" in content or b"\0" in content:
+        return None
+    target = os.fsdecode(content)
+    if target.startswith(("./", "../")):
+        return target
+    if target == file.name or target in (".", "..") or target != target.strip():
+        return None
+    return target if os.path.lexists(file.parent / target) else None
 
 
 def read_bytes(path: Path, max_bytes: int, *, links: bool = True) -> bytes:

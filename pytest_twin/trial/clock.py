@@ -28,6 +28,11 @@ _SAME_RATE = 0.01
 _MAX_STEPS = 1000
 # Fewer messages than this do not determine a rate.
 _MIN_MESSAGES = 20
+# s. Difference of the usual delays from stamp to recorder beyond which two topics have two clocks:
+# a network delivers joint states within some ms.
+_SAME_DELAY = 0.05
+# Scatter of these delays, relative to their difference, up to which the difference is constant.
+_STEADY_DELAY = 0.25
 _NS = 1e-9
 """Seconds in a nanosecond."""
 
@@ -240,6 +245,8 @@ def _stepping(
     back = [_steps(t, backward=True) for t in timed]
     forward = [_steps(t, backward=False) if by_log else [] for t in timed]
     if not any(back) and not all(forward):
+        if by_log:
+            notes = notes + _two_clocks(states, commands)
         return TopicsOnOneClock(((states, commands),), tuple(notes))
     topic = states if back[0] or (not back[1] and forward[0]) else commands
     at = (back[0] or forward[0]) if topic is states else (back[1] or forward[1])
@@ -273,6 +280,24 @@ def _stepping(
     return TopicsOnOneClock(
         pieces, (*notes, f"{said} and log times do not help: the parts are apart")
     )
+
+
+def _two_clocks(states: TimedMessages, commands: TimedMessages) -> list[str]:
+    """A note if one topic is stamped late compared with the other, as the recorder saw them."""
+    delays = [(t.series.log_time[t.rows] - t.stamp) * _NS for t in (states, commands)]
+    usual = [float(np.median(delay)) for delay in delays]
+    scatter = [float(np.median(np.abs(d - m))) for d, m in zip(delays, usual, strict=True)]
+    ahead = usual[0] - usual[1]
+    if min(map(len, delays)) < _MIN_MESSAGES or abs(ahead) < _SAME_DELAY:
+        return []
+    if max(scatter) > _STEADY_DELAY * abs(ahead):
+        return []
+    return [
+        f"{commands.series.topic}: its stamps are {abs(ahead):.3g} s "
+        f"{'later' if ahead > 0 else 'earlier'} than those of {states.series.topic}, compared with "
+        "the recorder's times: two computers whose clocks differ, or a topic that arrives late; "
+        "it looks like a delay of that size; --clock log takes the recorder's times"
+    ]
 
 
 def _steps(timed: TimedMessages, *, backward: bool) -> list[int]:

@@ -121,4 +121,10 @@ def _mistaken(
                 f"{related[row, best]:.2f}; its own {own:.2f}): names or columns seem to be "
                 "exchanged; --joints or --columns says which is which"
             )
+        elif what == "velocity" and own > _FOLLOWS and not _GAINS[0] < gain < _GAINS[1]:
+            notes.append(
+                f"the position of {joint!r} moves {gain:.3g} times as far as its velocity says: "
+                "they are in different units (degrees, rpm, encoder counts), or one is before the "
+                "gear; convert the velocity, or leave it out"
+            )
     return notes

@@ -60,6 +60,8 @@ from pytest_twin.words import list_names
 _STAMP_TEXTS = ("stamps go back", "stamps occur twice", "header.stamp")
 # A joint that is in fewer of a topic's messages than this share comes in messages of its own.
 _SEPARATE_SHARE = 0.8
+# Share of samples with the stamp of the one before up to which single messages are marked only.
+_FEW_TWICE = 0.01
 
 
 def make_trials(
@@ -504,9 +506,16 @@ class _Maker:
         )  # fmt: skip
 
     def note_twice(self, topic: str, time: FloatArray) -> None:
-        """Mark stamps of more than one message."""
+        """Mark stamps of more than one message, and note many of them."""
         twice = np.flatnonzero(np.diff(time) == 0) + 1
         self.checks.mark_runs("duplicate_stamp", topic, None, time, twice, "stamps occur twice")
+        if len(twice) > _FEW_TWICE * len(time):
+            interval = float(np.median(np.diff(np.unique(time)))) if time[-1] > time[0] else 0.0
+            self.notes.append(
+                f"{topic}: {len(twice)} of {len(time)} samples have the stamp of the one before: "
+                "stamps with too few digits, or of messages that arrived together; times may be "
+                f"wrong by an interval ({1e3 * interval:.3g} ms)"
+            )
 
     def optional(
         self, field: str, rows: StateRows, joints: tuple[str, ...], time: FloatArray, topic: str

@@ -65,6 +65,9 @@ FORMS = {
     "semicolons and decimal commas": (csv(";", cell=comma, time=comma), "decimal comma"),
     "semicolons": (csv(";"), "separated by semicolons"),
     "tabs": (csv("\t"), "separated by tabs"),
+    "spaces": (csv(" "), "separated by spaces"),
+    "several spaces": (csv("  ").replace("\n", " \r\n"), "separated by spaces"),
+    "spaces and decimal commas": (csv(" ", cell=comma, time=comma), "decimal comma"),
     "quotes": (csv(cell=quoted("{:.6f}".format), time=quoted("{:.6f}".format)), None),
     "quoted decimal commas": (csv(cell=quoted(comma), time=quoted(comma)), "decimal comma"),
     "separator named in the first line": ("sep=;\n" + csv(";"), "separated by semicolons"),
@@ -83,6 +86,10 @@ FORMS = {
     ),
     "units of joints in the headings": (
         csv(headings=("t [s]", "elbow.position [deg]", "elbow.command (deg)"), scale=DEGREES),
+        None,
+    ),
+    "milliradians": (
+        csv(headings=("t [s]", "elbow.position [mrad]", "elbow.command [mrad]"), scale=1e3),
         None,
     ),
     "series of PlotJuggler": (csv(headings=PLOTJUGGLER), None),

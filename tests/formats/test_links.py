@@ -152,3 +152,19 @@ def test_a_git_lfs_pointer_is_called_that(pointer: Path) -> None:
     with pytest.raises(PointerError, match=r"arm\.stl: is a Git LFS pointer.*run git lfs pull"):
         read_bytes(pointer, 1000)
     assert file_sha256(pointer)
+
+
+@pytest.mark.parametrize("target", ["../blobs/0a1b", "./gone.stl", "beside.stl"])
+def test_a_link_that_git_wrote_as_text_is_called_that(target: str, tmp_path: Path) -> None:
+    """With core.symlinks off, as on Windows, git writes the target without a line feed."""
+    put(tmp_path / "beside.stl", CONTENT)
+    link = put(tmp_path / "arm.stl", target.encode())
+    with pytest.raises(PointerError, match=r"arm\.stl: is a link that was checked out") as caught:
+        read_bytes(link, 1000)
+    assert caught.value.value == target
+    assert file_sha256(link)
+
+
+@pytest.mark.parametrize("text", ["arm.stl", "1.0", "time", "../arm.stl\n", "a/b", ".", ""])
+def test_another_short_file_is_no_link(text: str, tmp_path: Path) -> None:
+    assert read_bytes(put(tmp_path / "arm.stl", text.encode()), 1000) == text.encode()

@@ -87,6 +87,33 @@ def test_unordered_and_duplicate_stamps_are_sorted_and_marked() -> None:
     }
     assert made.position[50, 0] == pytest.approx(np.sin(0.51) - 1e-4)
     assert len(made.time) == 200
+    assert not any("have the stamp of the one before" in note for note in made.notes)
+
+
+def test_many_samples_with_one_stamp_are_said() -> None:
+    """Stamps in whole hundredths of a log at 200 Hz."""
+    time = np.floor(np.arange(200) / 2.0) * 0.01
+    made = make_trial(clean_recording(time=time), STRUCTURE)
+    (note,) = (note for note in made.notes if "have the stamp of the one before" in note)
+    assert note.startswith("/joint_states: 100 of 200 samples")
+    assert note.endswith("wrong by an interval (10 ms)")
+
+
+@pytest.mark.parametrize(("ahead", "word"), [(0.3, "later"), (-0.3, "earlier")])
+def test_stamps_of_two_clocks_are_said(ahead: float, word: str) -> None:
+    """Commands of a second computer, whose clock differs; both arrive within some ms."""
+    whole = clean_recording()
+    state, command = whole.series["state"], whole.series["command"]
+    late = np.random.default_rng(1).integers(0, 8_000_000, len(state.stamp))
+    stamp = command.stamp + int(ahead * 1e9)
+    states = replace(state, log_time=np.sort(state.stamp + late))
+    shifted = replace(command, stamp=stamp, log_time=np.sort(command.stamp + late))
+    made = make_trial(recording(states, shifted))
+    (note,) = (note for note in made.notes if "two computers whose clocks differ" in note)
+    assert f"0.3 s {word} than those of /joint_states" in note
+    equal = replace(command, log_time=np.sort(command.stamp + late))
+    made = make_trial(recording(states, equal))
+    assert not any("whose clocks differ" in note for note in made.notes)
 
 
 def test_the_last_of_several_commands_with_one_stamp_applies() -> None:

@@ -47,6 +47,8 @@ VELOCITY = np.gradient(POSITION, 1.0 / RATE, axis=0)
          "the position of 'knee' runs against its command"),
         (POSITION, VELOCITY * [-1, 1], COMMAND,
          "the position of 'hip' runs against its velocity"),
+        (POSITION, VELOCITY * [1, 30.0 / np.pi], COMMAND,
+         "the position of 'knee' moves 0.105 times as far as its velocity says"),
         (POSITION[:, [0, 0]], VELOCITY, COMMAND,
          "the positions of hip and knee are the same numbers in every message"),
         (POSITION, VELOCITY, COMMAND[:, [0, 0]],

@@ -91,8 +91,18 @@ def plain_table(path: Path, data: bytes) -> PlainTable:
         LimitError: beyond ``limits.CSV``.
     """
     headings, separator, line, body = _split(path, data.removeprefix(b"\xef\xbb\xbf"))
-    separator = separator or max(_SEPARATORS, key=_outside_quotes(headings).count)
     notes = []
+    plain = _outside_quotes(headings)
+    if not separator and b'"' not in body and not any(map(plain.count, _SEPARATORS)):
+        cells = headings.split()
+        row = _TEXT.search(body)
+        if (
+            row is not None
+            and len(cells) == len(body[row.start() :].split(b"\n", 1)[0].split()) > 1
+        ):
+            headings, separator, body = ";".join(cells), ";", _without_spaces(body)
+            notes.append("columns are separated by spaces")
+    separator = separator or max(_SEPARATORS, key=plain.count)
     if b'"' in body:
         body, comma = _unquoted(path, body, separator, line + 1)
     else:
@@ -101,7 +111,7 @@ def plain_table(path: Path, data: bytes) -> PlainTable:
             body = body.replace(b",", b".")
         if separator != ",":
             body = body.replace(separator.encode(), b",")
-    if separator != ",":
+    if separator != "," and not notes:
         notes.append(f"columns are separated by {_SEPARATORS[separator]}")
     if comma:
         notes.append("numbers have a decimal comma")
@@ -134,6 +144,11 @@ def _split(path: Path, data: bytes) -> tuple[str, str, int, bytes]:
         elif (text and not text.startswith("#")) or is_last or _NUMBER.match(data, start):
             return text.removeprefix("#").strip(), separator, line, data[start:]
     raise FormatError("no headings", path=path, line=line, expected="a line of headings")
+
+
+def _without_spaces(body: bytes) -> bytes:
+    """Rows with semicolons in place of the spaces between cells."""
+    return re.sub(rb" +", b";", re.sub(rb"(?m)^ +| +(?=\r?$)", b"", body))
 
 
 def _outside_quotes(line: str) -> str:

@@ -22,6 +22,8 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "deg": ("position", _DEGREE), "deg/s": ("velocity", _DEGREE),
     "°": ("position", _DEGREE), "°/s": ("velocity", _DEGREE),
     "degree": ("position", _DEGREE), "degrees": ("position", _DEGREE),
+    "mrad": ("position", 1e-3), "mrad/s": ("velocity", 1e-3),
+    "rpm": ("velocity", math.pi / 30.0), "mnm": ("effort", 1e-3), "n*mm": ("effort", 1e-3),
     "nm": ("effort", 1.0), "n*m": ("effort", 1.0), "n·m": ("effort", 1.0), "n": ("effort", 1.0),
 }  # fmt: skip
 """Unit in a heading -> quantity, and factor to SI units."""
