@@ -20,7 +20,10 @@ STEP_HOOKS = ("command", "servo", "drive", "friction", "force", "gear")
 
 
 def add_fixed_effects(values: EffectValues, fixed: EffectValues, rows: int) -> EffectValues:
-    """Effects of rows combined with fixed effects: amplitudes add, fixed shape parameters stay."""
+    """Effects of rows combined with fixed effects: amplitudes add, fixed shape parameters stay.
+
+    Relative errors multiply, so that a gain is changed by a factor of what it is.
+    """
     if not fixed:
         return values
     out = {e: dict(v) for e, v in values.items()}
@@ -33,7 +36,7 @@ def add_fixed_effects(values: EffectValues, fixed: EffectValues, rows: int) -> E
         for p in parameters:
             theirs = out[effect][p.name]
             if p.neutral is not None:
-                out[effect][p.name] = theirs + own[p.name] - p.neutral
+                out[effect][p.name] = p.combined(theirs, own[p.name])
             else:
                 out[effect][p.name] = np.where(acts, own[p.name], theirs)
     return out

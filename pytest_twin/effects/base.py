@@ -175,6 +175,15 @@ class Parameter:
             return self.neutral
         return self.starts[0] if self.under is None else 0.0
 
+    def combined(self, first: FloatArray | float, second: FloatArray | float) -> Any:
+        """Value of two of these amplitudes together, SI units; the factors of relative errors
+        multiply.
+        """
+        assert self.neutral is not None
+        if self.relation == "relative":
+            return (1.0 + first) * (1.0 + second) - 1.0
+        return first + second - self.neutral
+
     @property
     def reported_name(self) -> str:
         """Key of the reported value in ``diagnosis.json``."""
@@ -495,6 +504,16 @@ class Effect:
                 N/m; None without a servo.
         """
         return None
+
+    def acts_on_servo(self, stiffness: float, damping: float) -> NDArray[np.bool_]:
+        """(parameters,) whether each changes a drive with these gains; one without damping has none
+        to change.
+
+        Args:
+            stiffness: of the position servo, N*m/rad or N/m.
+            damping: of the servo, N*m*s/rad or N*s/m.
+        """
+        return np.ones(len(self.parameters), dtype=bool)
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         """Special cases with fewer parameters: effect id -> its parameters, SI."""

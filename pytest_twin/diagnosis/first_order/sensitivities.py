@@ -468,18 +468,28 @@ class Linearization:
     ) -> dict[str, FloatArray]:
         """Parameters of an effect, (rows, joints) each, SI units.
 
-        Candidate joints have the sizes of the row; other joints have those of the hypothesis.
+        Candidate joints have the sizes of the row, in addition to fixed effects; other joints have
+        those of the hypothesis.
         """
         joints, scales = len(self.problem.joints), self.problem.scales
-        out = {}
+        out = {
+            p.name: np.tile(absent_values(p, joints, scales), (len(rows), 1))
+            for p in effect.parameters
+        }
         for i, p in enumerate(effect.parameters):
-            array = np.empty((len(rows), joints))
-            own = self.own.get(effect.id)
-            array[:] = absent_values(p, joints, scales) if own is None else own[p.name]
             for term in terms:
                 column = slice(None) if term.joint < 0 else slice(term.joint, term.joint + 1)
-                array[:, column] = [[r[i] * scales.value(p, term.joint)] for r in rows]
-            out[p.name] = array
+                out[p.name][:, column] = [[r[i] * scales.value(p, term.joint)] for r in rows]
+        fixed = self.simulator.fixed.get(effect.id)
+        if fixed is not None:
+            out = dict(
+                add_fixed_effects({effect.id: out}, {effect.id: fixed}, len(rows))[effect.id]
+            )
+        own = self.own.get(effect.id)
+        if own is not None and all(term.joint >= 0 for term in terms):
+            others = [j for j in range(joints) if j not in {term.joint for term in terms}]
+            for name, array in out.items():
+                array[:, others] = own[name][:, others]
         return out
 
     def _repeat_own_values(self, rows: int) -> dict[str, Values]:
@@ -509,7 +519,24 @@ class Linearization:
         """Direct change of the readings, and of the initial state, by a sensor or clock effect."""
         if not _sensor_effects([(effect, values)]):
             return ReadingChange()
-        of_row = {n: x[row : row + 1] for n, x in values.items()}
+        direct, initial = self._readings_shifted_by(
+            effect, {n: x[row : row + 1] for n, x in values.items()}, joint
+        )
+        fixed = self.simulator.fixed.get(effect.id)
+        if fixed is not None:
+            # The prediction already has what is fixed.
+            known_direct, known_initial = self._readings_shifted_by(effect, fixed, joint)
+            direct, initial = direct - known_direct, initial - known_initial
+        return ReadingChange(initial=initial if initial.any() else None, direct=direct)
+
+    def _readings_shifted_by(
+        self, effect: Effect, of_row: Values, joint: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Change of the readings at a joint, and of the initial state, by a sensor or clock effect.
+
+        Args:
+            of_row: (1, joints) parameters.
+        """
         direct = []
         for i, s in enumerate(self.segments):
             segment = self.simulator.segments[s]
@@ -547,9 +574,7 @@ class Linearization:
         initial = np.concatenate(
             [_only_at_joint(q - q0, joint), _only_at_joint(v - v0, joint)], axis=1
         )
-        return ReadingChange(
-            initial=initial if initial.any() else None, direct=np.concatenate(direct)
-        )
+        return np.concatenate(direct), initial
 
     def _interpolate(self, values: FloatArray, i: int, stamps: FloatArray) -> FloatArray:
         """(samples, joints) values of segment ``i``, interpolated linearly at (stamps, joints)."""

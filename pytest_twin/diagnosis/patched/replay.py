@@ -33,8 +33,8 @@ def fixed_values(
 ) -> EffectValues:
     """Parameters of effects as (rows, joints) arrays; neutral where an effect is absent.
 
-    Parameters with a neutral value add up over several entries of one effect at one joint. Entries
-    of other joints are ignored.
+    Parameters with a neutral value add up over several entries of one effect at one joint; relative
+    errors multiply. Entries of other joints are ignored.
     """
     out: dict[str, dict[str, FloatArray]] = {}
     for e in effects:
@@ -51,7 +51,8 @@ def fixed_values(
             if value is None:
                 continue
             array = out[e.effect][p.name]
-            array[:, column] = value if p.neutral is None else array[:, column] + value
+            present = array[:, column]
+            array[:, column] = value if p.neutral is None else p.combined(present, value)
     return out
 
 
