@@ -16,6 +16,7 @@ from pytest_twin.diagnosis.locate import TimeAndRegime, locate_error, smooth_mot
 from pytest_twin.diagnosis.noise_levels import in_noise_floors, joint_name, label
 from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.common_effects import idle_parameters
 from pytest_twin.diagnosis.search.posterior import AlternativeEffects, NamedModel
 from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.diagnosis.verdict import UNSEEN, JointError
@@ -414,6 +415,7 @@ def _build_estimates(
     servo = str(problem.simulator.layout.servo[max(term.joint, 0)])
     found = {}
     has = term.law.has(hypothesis.theta[place])
+    has &= ~idle_parameters(problem, [term]).get(term, np.zeros(len(has), dtype=bool))
     for i, p in enumerate(term.parameters, start=place.start):
         if not has[i - place.start]:
             continue

@@ -23,9 +23,15 @@ from pytest_twin.diagnosis.run import Run, ScoredHypothesis
 from pytest_twin.diagnosis.search.model import Acceptance, Model
 from pytest_twin.diagnosis.search.neighbours import has_given
 from pytest_twin.diagnosis.search.physics import SimulatedPhysics
-from pytest_twin.diagnosis.search.posterior import NamedModel, best_named, posterior
+from pytest_twin.diagnosis.search.posterior import (
+    SAME_PREDICTION,
+    NamedModel,
+    best_named,
+    posterior,
+)
 from pytest_twin.diagnosis.search.report_rules import rejections
 from pytest_twin.diagnosis.search.search import Search, SearchOutcome
+from pytest_twin.diagnosis.search.simplification import as_settings
 from pytest_twin.diagnosis.search_result import SearchResult, build_result
 from pytest_twin.diagnosis.simulated_recordings import with_detected_timestep
 from pytest_twin.diagnosis.simulation_settings import (
@@ -318,6 +324,7 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
         if best is not found.incumbent.hypothesis:
             found = replace(found, incumbent=_refit(physics, found, best, is_late=is_late))
         found = _with_special_cases(physics, found, is_late=is_late)
+        found = _with_settings(physics, found, is_late=is_late)
         model = found.incumbent
         fitted, here = _fitted(problem, model), problem.at(model.hypothesis)
         refitted = _refit_without_each(here, fitted, 1 if is_late else _REFIT_ITERATIONS)
@@ -353,6 +360,25 @@ def _with_special_cases(
         refused = physics.refusals(model.hypothesis).keys() - set(special.terms)
         if refused or not found.is_better(model, simpler):
             return _with_special_cases(physics, replace(found, incumbent=simpler), is_late=is_late)
+    return found
+
+
+def _with_settings(
+    physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool
+) -> SearchOutcome:
+    """The outcome with a setting of a drive where a property of the motor predicts the same.
+
+    A gain is set to another value more often than a torque constant is wrong. Both remain equally
+    likely.
+    """
+    model = found.incumbent
+    for restated in as_settings(physics.problem, model.hypothesis):
+        setting = _refit(physics, found, restated, is_late=is_late)
+        change = np.sqrt(np.mean((setting.residual - model.residual) ** 2, axis=0))
+        alike = bool((change <= SAME_PREDICTION * physics.floor).all())
+        if alike and not setting.size.is_richer_than(model.size):
+            found.pool.add(model)
+            return _with_settings(physics, replace(found, incumbent=setting), is_late=is_late)
     return found
 
 

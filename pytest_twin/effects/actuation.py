@@ -455,9 +455,9 @@ class ControllerGain(Effect):
     law = "effort = (1 + stiffness_error) kp (setpoint - q) - (1 + damping_error) kv v"
     source = "PD law; Siciliano et al., Robotics (2009), sec. 8.5"
     parameters = (
-        # A vendor's model may have a gain 50 times the firmware's.
+        # A vendor's model may have a gain 50 times the firmware's; firmware is tuned tenfold.
         Parameter(
-            "stiffness_error", "one", 0.0, -0.998, 4.0, (0.1,), meaning="servo stiffness",
+            "stiffness_error", "one", 0.0, -0.998, 9.0, (0.1,), meaning="servo stiffness",
             relation="relative",
         ),
         Parameter(
@@ -474,6 +474,9 @@ class ControllerGain(Effect):
     }
     # Servo damping without stiffness acts like viscous friction.
     generalizes = frozenset({"torque_constant", "viscous_friction"})
+
+    def acts_on_servo(self, stiffness: float, damping: float) -> NDArray[np.bool_]:
+        return np.array([stiffness != 0.0, damping != 0.0])
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_constant": {"relative_error": values["stiffness_error"]}}

@@ -6,7 +6,10 @@ joints by the same time. That is one cause with one parameter, like a delay of a
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.problem import Problem
@@ -19,14 +22,37 @@ _ALIKE = 0.01
 of one value to noisy recordings differ by as much."""
 
 
-def set_size(problem: Problem, hypothesis: Hypothesis) -> Size:
-    """Number of effects and parameters of a set, where common effects count once."""
+def idle_parameters(problem: Problem, terms: Iterable[Term]) -> dict[Term, NDArray[np.bool_]]:
+    """Term -> (parameters,) whether each changes nothing in this robot's drives; if one does."""
+    drives = problem.simulator.models.world(problem.fit[:1])
+    found = {
+        term: ~term.law.acts_on_servo(
+            float(drives.stiffness[0, term.joint]), float(drives.damping[0, term.joint])
+        )
+        for term in terms
+        if term.joint >= 0
+    }
+    return {term: idle for term, idle in found.items() if idle.any()}
+
+
+def set_size(
+    problem: Problem, hypothesis: Hypothesis, idle: Mapping[Term, NDArray[np.bool_]]
+) -> Size:
+    """Number of effects and parameters of a set, where common effects count once.
+
+    Args:
+        idle: parameters of a term that change nothing.
+    """
     repeated = [t for group in _common_groups(problem, hypothesis) for t in group[1:]]
     values = hypothesis.theta
     repeated_parameters = sum(
         int(t.is_estimated(values[hypothesis.slice_of(t)]).sum()) for t in repeated
     )
-    return Size(len(hypothesis.terms) - len(repeated), hypothesis.free_count - repeated_parameters)
+    without_influence = sum(int(idle[t].sum()) for t in hypothesis.terms if t in idle)
+    return Size(
+        len(hypothesis.terms) - len(repeated),
+        hypothesis.free_count - repeated_parameters - without_influence,
+    )
 
 
 def replace_robot_effects(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:

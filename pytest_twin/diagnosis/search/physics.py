@@ -24,7 +24,11 @@ from pytest_twin.diagnosis.prepare import NOISE, PreparedProblem, discretization
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
 from pytest_twin.diagnosis.refusal import refused_effects
-from pytest_twin.diagnosis.search.common_effects import replace_robot_effects, set_size
+from pytest_twin.diagnosis.search.common_effects import (
+    idle_parameters,
+    replace_robot_effects,
+    set_size,
+)
 from pytest_twin.diagnosis.search.linearized_view import View, linearize_around, simulate_around
 from pytest_twin.diagnosis.search.proposed_starts import starts_at
 from pytest_twin.diagnosis.search.simplification import (
@@ -191,6 +195,7 @@ class SimulatedPhysics:
         self.candidates: Sequence[Term] = tuple(candidates(problem))
         self.given = given_terms(problem)
         self.recorded = RecordedRange.of(problem)
+        self._idle = idle_parameters(problem, self.candidates)
 
     @property
     def joints(self) -> Sequence[str]:
@@ -268,7 +273,7 @@ class SimulatedPhysics:
 
     def size(self, hypothesis: Hypothesis) -> Size:
         """As :meth:`Physics.size`."""
-        return set_size(self.problem, hypothesis)
+        return set_size(self.problem, hypothesis, self._idle)
 
     def special_cases(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """As :meth:`Physics.special_cases`."""

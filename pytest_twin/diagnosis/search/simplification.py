@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -83,6 +84,25 @@ def special_cases(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
         rest = hypothesis.without(term)
         cases = _special_cases(problem, hypothesis, term)
         out += [rest.with_term(new, start) for new, start in cases.items()]
+    return out
+
+
+def as_settings(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """Hypotheses with a special case replaced by the law that every drive of its kind has.
+
+    For example the gain of a position servo instead of a torque constant.
+    """
+    servo, possible, out = problem.simulator.layout.servo, set(candidates(problem)), []
+    for term in hypothesis.terms:
+        if term.joint < 0 or servo[term.joint] in term.law.basic_modes:
+            continue
+        for effect, law in catalogue().items():
+            new = replace(term, effect=effect)
+            general = term.effect in law.generalizes and servo[term.joint] in law.basic_modes
+            if general and new in possible and new not in hypothesis.terms:
+                absent = np.array([p.absent_value for p in new.parameters])
+                restated = hypothesis.with_term(new, absent).with_absorbed(term, new)
+                out += [] if restated is None else [restated]
     return out
 
 
