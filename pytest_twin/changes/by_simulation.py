@@ -2,24 +2,26 @@
 
 The search over the earlier recordings gives the effects that the robot had before. The model with
 them is the nominal model of the later recordings. Around it, the earlier recordings measure every
-law of the catalogue (ridge prior); their prediction is subtracted from the later positions, and the
-error of earlier recordings that are left out counts as noise. Only the difference is searched.
+law of the catalogue (ridge prior), which decides whether anything changed. What changed is searched
+in the later recordings, where the residual of the earlier ones is subtracted and counts as noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Rows
+from pytest_twin.changes.carried import carried_half_widths
 from pytest_twin.changes.comparison import Comparison, compare
 from pytest_twin.changes.find_changes import extrapolation_notes
 from pytest_twin.changes.position_rows import PositionLaws, in_parts, position_laws
 from pytest_twin.changes.recordings import FEWEST_SESSIONS, sessions_of
+from pytest_twin.changes.repeated import RepeatedMotion, repeated_motions
 from pytest_twin.changes.trials import ComparedTrials
+from pytest_twin.changes.undone import not_excluded_before
 from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.conclusion import ChosenModel, TestedModel, evaluate_on_test
@@ -30,7 +32,7 @@ from pytest_twin.diagnosis.run import Run, describe_skipped_searches
 from pytest_twin.diagnosis.search_recordings import find_structure
 from pytest_twin.diagnosis.signal_meaning import determine_signals
 from pytest_twin.diagnosis.trials import TrialSet
-from pytest_twin.estimation.score import NOISE_FLOORS
+from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
 
@@ -53,9 +55,12 @@ class SimulatedChanges:
         patched: the same with its effects as effects of the nominal model.
         laws, rows, comparison: the linear comparison.
         found: effects of the later recordings in addition; None if nothing changed.
+        uncertain_before: those of them that the earlier recordings do not exclude.
+        carried: half width of the 95 % interval of their parameters by the earlier model, SI units.
+        repeated: new recordings that repeat the motion of earlier ones.
         before, new, held_out: the recordings.
         sessions: how earlier sessions were distinguished, such as ``8 recordings``.
-        is_complete: whether the searches ended by themselves.
+        is_complete: whether the search for changes ended by itself.
     """
 
     known: ChosenModel
@@ -64,6 +69,9 @@ class SimulatedChanges:
     rows: Rows
     comparison: Comparison
     found: TestedModel | None
+    uncertain_before: frozenset[Term]
+    carried: Mapping[Term, Mapping[str, float]]
+    repeated: tuple[RepeatedMotion, ...]
     before: tuple[Trial, ...]
     new: tuple[Trial, ...]
     held_out: tuple[Trial, ...]
@@ -110,24 +118,32 @@ def find_changes_by_simulation(
         laws, rows, comparison, words = _compare(realization, known, patched, before, new, level,
                                                  notes)  # fmt: skip
         progress(0.5)
-        found = None
+        found, repeated = None, repeated_motions(before.fit, new.fit)
+        uncertain_before = frozenset[Term]()
+        carried: Mapping[Term, Mapping[str, float]] = {}
         second = Run(_part_of(budget, 1.0))
         if comparison.is_changed:
-            corrected = _without_background(laws, rows, comparison, new)
-            # The search takes residuals up to this many noise floors for noise.
-            error = dict(zip(laws.joints, comparison.usual / NOISE_FLOORS, strict=True))
-            corrected = replace(corrected, model_error=error)
             structure = find_structure(
-                realization, corrected, inherited=patched, run=second,
-                progress=lambda fraction: progress(0.5 + 0.4 * fraction),
+                realization, replace(new, earlier=known.found.trials.fit), inherited=patched,
+                run=second, progress=lambda fraction: progress(0.5 + 0.4 * fraction),
             )  # fmt: skip
-            found = evaluate_on_test(structure, corrected, corrected.held_out)
+            found = evaluate_on_test(structure, new, new.held_out)
             notes += found.notes
+            changes = structure.found.prepared
+            hypothesis = structure.found.explanation.hypothesis
+            repeated = repeated_motions(before.fit, new.fit, changes, hypothesis)
+            uncertain_before = not_excluded_before(
+                structure.setup, known.found.trials.fit, changes, hypothesis
+            )
+            carried = carried_half_widths(
+                changes.problem, hypothesis, known.found.prepared.problem, known.found.explanation
+            )
     for run, which in ((first, "earlier"), (second, "new")):
         notes += [f"{which} recordings: {note}" for note in describe_skipped_searches(run)]
     return SimulatedChanges(
-        known, patched, laws, rows, comparison, found, before.fit, new.fit, new.held_out, words,
-        not (first.skipped_searches or second.skipped_searches), tuple(dict.fromkeys(notes)),
+        known, patched, laws, rows, comparison, found, uncertain_before, carried, repeated,
+        before.fit, new.fit, new.held_out, words, not second.skipped_searches,
+        tuple(dict.fromkeys(notes)),
     )  # fmt: skip
 
 
@@ -184,30 +200,6 @@ def _compare(
     )  # fmt: skip
     notes += extrapolation_notes(comparison, laws.joints, level)
     return laws, rows, comparison, words
-
-
-def _without_background(
-    laws: PositionLaws, rows: Rows, comparison: Comparison, new: TrialSet
-) -> TrialSet:
-    """Later recordings without what the laws of the earlier ones predict beside the model."""
-    mean = comparison.background.mean
-    predicted: dict[int, tuple[FloatArray, FloatArray]] = {}
-    for i, part in enumerate(laws.parts):
-        predicted[id(part.recording)] = part.time, rows.effort_of(i, mean)
-
-    def corrected(trial: Trial) -> Trial:
-        if id(trial) not in predicted:
-            return trial
-        time, error = predicted[id(trial)]
-        position = trial.position.copy()
-        for j, joint in enumerate(laws.joints):
-            column = trial.joints.index(joint)
-            shift = np.interp(trial.time, time, error[:, j])
-            # The first state is where the simulation starts.
-            position[:, column] -= shift - shift[0]
-        return replace(trial, position=position)
-
-    return replace(new, fit=tuple(map(corrected, new.fit)))
 
 
 __all__: Sequence[str] = ["SimulatedChanges", "find_changes_by_simulation"]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.changes.by_simulation import find_changes_by_simulation
+from pytest_twin.changes.declared import declared_differences
 from pytest_twin.changes.document import changes_document
 from pytest_twin.changes.find_changes import find_changes
 from pytest_twin.changes.recordings import (
@@ -17,6 +18,7 @@ from pytest_twin.changes.recordings import (
 )
 from pytest_twin.changes.simulated_document import simulated_document
 from pytest_twin.changes.trials import read_compared_trials
+from pytest_twin.changes.undone import REALIZATION, write_changed_model
 from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.loaded_model import load_model
 from pytest_twin.processor_time import call_began
@@ -33,6 +35,7 @@ class ComparisonRequest:
         level: probability of an alarm if nothing changed.
         release: number of the release whose recordings are the earlier ones.
         seconds: limit of the processor time, s; 0 for no limit.
+        out: empty folder, in which the model with its changes is written.
     """
 
     model: str
@@ -44,6 +47,7 @@ class ComparisonRequest:
     level: float = 0.05
     release: int | None = None
     seconds: float = 0.0
+    out: str = ""
 
 
 def compare_files(
@@ -68,11 +72,13 @@ def compare_files(
     )
     topics, options = {**loaded.topics, **asked.topics}, options.over(loaded.options)
     compared = read_compared(loaded.realization, before, new, held_out, topics, options)
+    recordings = compared.before, [*compared.new, *compared.held_out]
     if has_efforts(compared.every):
         progress(0.4)
         found = find_changes(loaded.realization, compared, asked.level)
         progress(0.95)
-        return changes_document(found, level=asked.level, release=asked.release)
+        document = changes_document(found, level=asked.level, release=asked.release)
+        return document | {"declared": declared_differences(loaded.realization, *recordings)}
     refuse_without_commands(compared)
     with suppress_mujoco_warnings():
         by_simulation = find_changes_by_simulation(
@@ -80,4 +86,16 @@ def compare_files(
             read_compared_trials(loaded.realization, before, new, held_out, topics, options),
             asked.level, budget, loaded.patched, progress,
         )  # fmt: skip
-    return simulated_document(by_simulation, level=asked.level, release=asked.release)
+        counterfactual = None
+        if by_simulation.found is not None and asked.out:
+            tested = by_simulation.found.tested
+            folder = Path(asked.out) / REALIZATION
+            folder.mkdir()
+            counterfactual = write_changed_model(
+                folder, loaded.realization, by_simulation.known, loaded.patched,
+                tested.prepared.problem, tested.explanation.hypothesis,
+            )  # fmt: skip
+    document = simulated_document(
+        by_simulation, level=asked.level, release=asked.release, counterfactual=counterfactual
+    )
+    return document | {"declared": declared_differences(loaded.realization, *recordings)}

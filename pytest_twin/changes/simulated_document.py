@@ -2,42 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from pytest_twin.changes.by_simulation import SimulatedChanges
 from pytest_twin.changes.comparison import Change
-from pytest_twin.changes.document import alarm_json, number, residuals_json, verdict_of
+from pytest_twin.changes.document import alarm_json, number, verdict_of
+from pytest_twin.changes.repeated import RepeatedMotion
+from pytest_twin.changes.undone import REALIZATION, Counterfactual
 from pytest_twin.diagnosis.findings import Estimate, Finding, finding_json
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Parameter, si_unit
+from pytest_twin.estimation.hypothesis import EMPTY
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.trial import Trial
 
 _MOST_UNFINISHED = 0.5
-"""Largest confidence of a change that no simulation has tested."""
+"""Largest confidence of a change that no simulation has tested, or that may be older."""
 
 
 def simulated_document(
-    found: SimulatedChanges, *, level: float, release: int | None = None
+    found: SimulatedChanges,
+    *,
+    level: float,
+    release: int | None = None,
+    counterfactual: Counterfactual | None = None,
 ) -> dict[str, Any]:
     """Content of ``diagnosis.json`` with ``--before`` by simulation, schema 1.
 
     Args:
         level: level of the alarm.
         release: number of the release whose recordings are the earlier ones.
+        counterfactual: of the written model; None if none was written.
     """
     comparison, joints = found.comparison, found.laws.joints
     findings = _findings(found)
-    after = comparison.after
-    tested = found.found
-    if tested is not None:
-        errors = tested.tested.errors
-        after = np.array([errors[j].after if j in errors else 0.0 for j in joints])
     units = [si_unit("position", slide) for slide in found.laws.slides]
-    return {
+    document = {
         "schema": 1,
         "verdict": verdict_of(comparison.is_changed, bool(findings)),
         "by": "simulation",
@@ -45,10 +48,95 @@ def simulated_document(
         "new": _names(found.new),
         "findings": findings,
         "alarm": alarm_json(comparison, level, found.sessions),
-        "position": residuals_json(comparison, joints, units, after),
+        "position": _residuals(found, units),
+        "repeated": [_repeated(motion, dict(zip(joints, units, strict=True)))
+                     for motion in found.repeated],
         "model_changes": [],
-        "notes": list(found.notes),
+        "notes": [*found.notes, *_doubts(found)],
+    }  # fmt: skip
+    if counterfactual is not None:
+        document |= {
+            "realization": f"{REALIZATION}/",
+            "counterfactual": {
+                "holds": counterfactual.holds,
+                "joints": {
+                    joint: {
+                        "rms_known": number(counterfactual.known[joint]),
+                        "rms_undone": number(counterfactual.undone[joint]),
+                        "rms_changed": number(counterfactual.changed[joint]),
+                        "unit": unit,
+                    }
+                    for joint, unit in zip(joints, units, strict=True)
+                },
+            },
+        }
+    return document
+
+
+def _residuals(found: SimulatedChanges, units: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Joint -> RMS error of the model of the earlier recordings: in them, in the new ones, and with
+    the changes.
+    """
+    joints = found.laws.joints
+    new = {trial.path for trial in found.new}
+    usual, now = (
+        np.sqrt(
+            np.mean(
+                np.concatenate(
+                    [p.effort**2 for p in found.laws.parts if (p.recording.path in new) is is_new]
+                ),
+                axis=0,
+            )
+        )
+        for is_new in (False, True)
+    )
+    after = now
+    if found.found is not None:
+        tested = found.found.tested
+        problem, best = tested.prepared.problem, tested.explanation.hypothesis
+        before, changed = (
+            problem.at(h).errors([h], problem.tested_segments)[0] for h in (EMPTY, best)
+        )
+        columns = [problem.joints.index(j) if j in problem.joints else -1 for j in joints]
+        now, after = (
+            np.array([np.sqrt(np.mean(e[:, k] ** 2)) if k >= 0 else np.nan for k in columns])
+            for e in (before, changed)
+        )
+    return {
+        joint: {
+            "rms_usual": number(usual[j]), "rms_before": number(now[j]),
+            "rms_after": number(after[j]), "unit": units[j],
+        }
+        for j, joint in enumerate(joints)
+    }  # fmt: skip
+
+
+def _repeated(motion: RepeatedMotion, units: Mapping[str, str]) -> dict[str, Any]:
+    return {
+        "new": motion.new.path.name,
+        "before": _names(motion.before),
+        "difference": {
+            joint: {
+                "rms": number(rms),
+                "rms_after": number(motion.remains[joint]) if joint in motion.remains else None,
+                "unit": units[joint],
+            }
+            for joint, rms in motion.difference.items()
+            if joint in units
+        },
     }
+
+
+def _doubts(found: SimulatedChanges) -> list[str]:
+    """A line for each change that the earlier recordings do not exclude."""
+    if found.found is None:
+        return []
+    return [
+        f"{f.effect}{'' if f.joint is None else f' at {f.joint}'}: the earlier recordings are "
+        "predicted as well with it, so it may have been there before; confidence is at most 50 %"
+        for f in found.found.explanation.findings
+        if f.term in found.uncertain_before
+    ]
 
 
 def _findings(found: SimulatedChanges) -> list[dict[str, Any]]:
@@ -70,25 +158,59 @@ def _simulated(found: SimulatedChanges, finding: Finding) -> dict[str, Any]:
     earlier = _known_before(found, finding.effect, finding.joint)
     law = catalogue()[finding.effect]
     by_name = {p.reported_name: p for p in law.parameters}
+    carried = found.carried.get(finding.term, {})
     for name, estimate in finding.parameters.items():
         p = by_name[name]
+        if p.reciprocal_of is None:
+            estimate = _widened(estimate, carried.get(p.name, 0.0))
         before = earlier.get(name) or _absent(p, estimate)
-        if p.neutral is None or p.reciprocal_of is not None:
-            # A shape has no difference; a reciprocal is absent at infinity.
+        if p.neutral is None or (p.reciprocal_of is not None and name not in earlier):
+            # A shape has no difference; a limit that was absent was infinite.
             now[name] = _json(estimate)
             if name in earlier:
                 known[name] = _json(before)
             continue
-        half = [np.hypot(_half(before), _half(estimate))] * 2
-        total = before.value + estimate.value - p.neutral
-        now[name] = _json(Estimate(total, estimate.unit, total - half[0], total + half[1]))
         known[name] = _json(before)
-        change[name] = _json(estimate)
+        change[name] = _json(_difference(p, before, estimate))
+        now[name] = _json(_total(p, before, estimate))
     document |= {"parameters": now, "change": change, "known_before": known}
+    if finding.term in found.uncertain_before:
+        document["confidence"] = min(document["confidence"], _MOST_UNFINISHED)
     if not found.held_out:
         document["held_out_gain"] = None
         document["residual_gain"] = round(finding.held_out_gain, 5)
     return document
+
+
+def _widened(estimate: Estimate, half: float) -> Estimate:
+    """An estimate with a second, independent half width of its interval."""
+    low, high = estimate.value - estimate.low, estimate.high - estimate.value
+    return Estimate(
+        estimate.value, estimate.unit, estimate.value - float(np.hypot(low, half)),
+        estimate.value + float(np.hypot(high, half)),
+    )  # fmt: skip
+
+
+def _together(p: Parameter, before: float, added: float) -> float:
+    """Reported value of a parameter that had a value before and was changed."""
+    if p.reciprocal_of is not None:
+        return p.reported(float(p.combined(p.reported(before), p.reported(added))))
+    return float(p.combined(before, added))
+
+
+def _difference(p: Parameter, before: Estimate, added: Estimate) -> Estimate:
+    """New minus old value: the interval is that of the change alone."""
+    value, *bounds = (
+        _together(p, before.value, x) - before.value for x in (added.value, added.low, added.high)
+    )
+    return Estimate(value, added.unit, min(bounds), max(bounds))
+
+
+def _total(p: Parameter, before: Estimate, added: Estimate) -> Estimate:
+    """The new value, with the intervals of both."""
+    value = _together(p, before.value, added.value)
+    half = float(np.hypot(_half(before), _half(_difference(p, before, added))))
+    return Estimate(value, added.unit, value - half, value + half)
 
 
 def _half(estimate: Estimate) -> float:
@@ -132,9 +254,8 @@ def _linear(found: SimulatedChanges, change: Change) -> dict[str, Any]:
         unit = p.unit(kind)
         estimate = Estimate(float(value), unit, float(value - half), float(value + half))
         before = earlier.get(p.name) or _absent(p, estimate)
-        total = before.value + estimate.value
-        moved[p.name], known[p.name] = _json(estimate), _json(before)
-        now[p.name] = _json(Estimate(total, unit, total - float(half), total + float(half)))
+        moved[p.name], known[p.name] = _json(_difference(p, before, estimate)), _json(before)
+        now[p.name] = _json(_total(p, before, estimate))
     return {
         "effect": term.effect,
         "joint": joint,

@@ -91,7 +91,7 @@ def run(args: argparse.Namespace, seconds: float) -> int:
     ):
         document: dict[str, Any] = sandbox.call(
             "pytest_twin.changes.compare_files:compare_files",
-            {"request": request},
+            {"request": request | {"out": str(staging)}},
             progress=progress,
         )
         if released is not None and released.changes:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.known_errors import with_known_errors
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.prepare import PreparedProblem
@@ -55,8 +56,14 @@ def build_problem(
             notes += _notes_on_assumptions(prepared, everything, setup.outside_mjcf, idle)
             # Under this noise floor no residual counts, and no fit depends on the joint.
             unseen = np.isin(problem.joints, [*trials.unseen, *idle])
-            known_error = [trials.model_error.get(joint, 0.0) for joint in problem.joints]
-            floor = np.where(unseen, UNSEEN, np.hypot(problem.floor, known_error))
+            problem = with_known_errors(
+                problem,
+                [everything[i] for i in prepared.segment_trial],
+                setup,
+                trials.earlier,
+                window,
+            )
+            floor = np.where(unseen, UNSEEN, problem.floor)
             return replace(prepared, problem=replace(problem, floor=floor)), trials
         for i in sorted(diverged):
             notes.append(f"left out: {everything[i].path}: the simulation of the model diverges")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,8 @@ class TrialSet:
         notes: roles, trials that were left out, and doubts, one line each.
         unseen: joints whose encoder is stuck in ``fit``; their error is not evaluated.
         untested: joints whose encoder is stuck in ``held_out``; their error there is not evaluated.
-        model_error: joint -> RMS error of the model that counts as noise, rad or m.
+        earlier: recordings of the robot before a change. The residual of the model in them counts
+            as noise in the others.
     """
 
     fit: tuple[Trial, ...]
@@ -36,7 +37,7 @@ class TrialSet:
     notes: tuple[str, ...]
     unseen: frozenset[str] = frozenset()
     untested: frozenset[str] = frozenset()
-    model_error: Mapping[str, float] = field(default_factory=dict)
+    earlier: tuple[Trial, ...] = ()
 
 
 def read_trials(

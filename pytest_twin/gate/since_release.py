@@ -85,20 +85,21 @@ def _of_robot(
     sandbox: Sandbox,
 ) -> tuple[str, ...]:
     """New recordings fail: what changed in the robot since those of the release?"""
-    document: dict[str, Any] = sandbox.call(
-        "pytest_twin.changes.compare_files:compare_files",
-        {
-            "request": {
-                "model": str(twin.path),
-                "before": [str(path) for path in references],
-                "new": [str(path) for path in new],
-                "release": number,
-                "seconds": _SECONDS,
-            }
-        },
-    )
-    state_not_separated(document, twin.path, folder)
     with results.result_folder(folder, DIAGNOSIS_FILE) as staging:
+        document: dict[str, Any] = sandbox.call(
+            "pytest_twin.changes.compare_files:compare_files",
+            {
+                "request": {
+                    "model": str(twin.path),
+                    "before": [str(path) for path in references],
+                    "new": [str(path) for path in new],
+                    "release": number,
+                    "seconds": _SECONDS,
+                    "out": str(staging),
+                }
+            },
+        )
+        state_not_separated(document, twin.path, folder)
         write_comparison(staging, document)
     return (
         f"compared with the {counted(len(references), 'recording')} that proved release {number}:",

@@ -11,6 +11,7 @@ import jinja2
 from pytest_twin.report.diagnosis import spans_in_words
 from pytest_twin.report.finding_words import (
     ambiguity_sentence,
+    beside_the_model,
     meaning_of,
     percent,
     place,
@@ -18,12 +19,16 @@ from pytest_twin.report.finding_words import (
 )
 from pytest_twin.report.page import style_of, template
 from pytest_twin.report.text import number, quantity
+from pytest_twin.words import list_names
 
 _VERDICT = {
     "no_change": "Nothing changed that these recordings show",
     "changed": "Changed: {}",
     "changed_unnamed": "Changed, and no single law of the catalogue explains it",
 }
+_AS_USUAL = 1.5
+"""RMS residual, relative to the usual one, up to which it is no sign of a further change: both are
+estimates."""
 _MOOD = {"no_change": "good", "changed": "bad", "changed_unnamed": "bad"}
 
 
@@ -39,6 +44,9 @@ def words(document: Mapping[str, Any]) -> list[str]:
         lines.append(f"    Confidence: {percent(finding['confidence'])}. {_gain(finding)}")
         if rivals := ambiguity_sentence(finding):
             lines += [f"    {rivals}", f"    {to_confirm(finding)}"]
+    lines += [f"  {line}" for line in _declared(document)]
+    lines += [f"  {line}" for line in _repeated(document)]
+    lines += [f"  {line}" for line in _undone(document)]
     signal, errors = _residuals(document)
     lines.append(f"  RMS residual of the {signal}, usual, now, and with the changes:")
     width = max(len(joint) for joint in errors)
@@ -64,10 +72,79 @@ def model_lines(document: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def _declared(document: Mapping[str, Any]) -> list[str]:
+    """Return a line for each declared difference."""
+    return [
+        f"Declared: {each['what']} {list_names(each['before'])} before, {list_names(each['now'])} "
+        f"now; {'it is in the model' if each['in_model'] else 'no value for the model is stated'}"
+        for each in document.get("declared", [])
+    ]
+
+
+def _repeated(document: Mapping[str, Any]) -> list[str]:
+    """Return a line for each repeated motion, with the joint that differs most."""
+    lines = []
+    for motion in document.get("repeated", []):
+        joint, most = max(motion["difference"].items(), key=lambda item: float(item[1]["rms"]))
+        line = (
+            f"{motion['new']} repeats {list_names(motion['before'])}: positions differ by "
+            f"{quantity(most['rms'], most['unit'])} RMS at {joint}"
+        )
+        if most["rms_after"] is not None:
+            line += f"; {quantity(most['rms_after'], most['unit'])} with the changes"
+        lines.append(line)
+    return lines
+
+
+def _undone(document: Mapping[str, Any]) -> list[str]:
+    """Return the errors of the earlier recordings with the changes undone; none without changes."""
+    counterfactual = document.get("counterfactual")
+    if counterfactual is None or not document["findings"]:
+        return []
+    joint, errors = max(
+        counterfactual["joints"].items(), key=lambda item: abs(item[1]["rms_changed"])
+    )
+    known, undone, changed = (
+        quantity(errors[key], errors["unit"]) for key in ("rms_known", "rms_undone", "rms_changed")
+    )
+    verdict = (
+        "as before"
+        if counterfactual["holds"]
+        else f"not as before ({known}): do not use this model"
+    )
+    return [
+        f"With the changes undone, the earlier recordings are predicted {verdict}: {undone} RMS at "
+        f"{joint}; with the changes {changed}"
+    ]
+
+
 def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict as a sentence."""
-    names = ", ".join(place(finding) for finding in document["findings"])
-    return _VERDICT[document["verdict"]].format(names)
+    names = "; ".join(_from_to(finding) for finding in document["findings"])
+    text = _VERDICT[document["verdict"]].format(names)
+    if document["findings"] and _is_as_before(document):
+        text += "; everything else as before"
+    return text
+
+
+def _from_to(finding: Mapping[str, Any]) -> str:
+    """Effect, joint, and the largest change of its values: ``at joint elbow, 0.41 to 0.78 N*m``."""
+    if not finding["change"]:
+        return place(finding)
+    key = max(finding["change"], key=lambda name: abs(finding["change"][name]["value"]))
+    before, now = (
+        beside_the_model(finding["effect"], key, each[key]["value"], each[key]["unit"])
+        for each in (finding["known_before"], finding["parameters"])
+    )
+    return f"{place(finding)}, {before} to {now}"
+
+
+def _is_as_before(document: Mapping[str, Any]) -> bool:
+    """Whether the residual of every joint is as usual with the changes."""
+    return all(
+        error["rms_after"] <= _AS_USUAL * error["rms_usual"]
+        for error in _residuals(document)[1].values()
+    )
 
 
 def alarm_sentence(document: Mapping[str, Any]) -> str:
@@ -93,6 +170,8 @@ def render(document: Mapping[str, Any]) -> str:
         mood=_MOOD[document["verdict"]],
         alarm=alarm_sentence(document),
         model_changes=model_lines(document),
+        declared=_declared(document),
+        repeated=[*_repeated(document), *_undone(document)],
         findings=[
             {
                 **finding,
@@ -123,8 +202,8 @@ def _rows(finding: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         low, high = (number(bound) for bound in change["ci95"])
         rows.append((
             meaning_of(finding["effect"], key),
-            quantity(before["value"], before["unit"]),
-            quantity(now["value"], now["unit"]),
+            beside_the_model(finding["effect"], key, before["value"], before["unit"]),
+            beside_the_model(finding["effect"], key, now["value"], now["unit"]),
             f"{change['value']:+.4g} ({low} to {high})",
         ))  # fmt: skip
     return rows

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pytest_twin.effects import Parameter, catalogue
-from pytest_twin.report.text import number
+from pytest_twin.report.text import number, quantity
 from pytest_twin.words import join_words
 
 SURE = 0.9
@@ -110,6 +110,14 @@ def table_row(finding: Mapping[str, Any], key: str) -> tuple[str, str, str]:
 def meaning_of(effect: str, key: str) -> str:
     """Return the meaning of a parameter of ``diagnosis.json``, such as ``servo stiffness``."""
     return _meaning(key, {p.reported_name: p for p in _parameters(effect)}.get(key))
+
+
+def beside_the_model(effect: str, key: str, value: float, unit: str) -> str:
+    """Return a value beside the model: ``0.41 N*m``, or ``85 % of the model's``."""
+    parameter = {p.reported_name: p for p in _parameters(effect)}.get(key)
+    if parameter is not None and parameter.relation == "relative":
+        return f"{percent(1.0 + value)} of the model's"
+    return quantity(value, unit)
 
 
 def readable_unit(value: float, unit: str) -> tuple[float, str]:

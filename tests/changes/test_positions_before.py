@@ -18,6 +18,7 @@ pytestmark = pytest.mark.usefixtures("commands_in_process")
 JOINTS = ("left",)
 WRONG = {"viscous": 0.02, "dry": 0.03}
 """What the model lacks in all recordings."""
+MAGNET = {"magnet": 0.1}
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +63,55 @@ def test_more_dry_friction_is_named_with_the_value_before(robot: Path, tmp_path:
     assert finding["known_before"]["coulomb"]["value"] == pytest.approx(0.03, abs=0.002)
     assert finding["parameters"]["coulomb"]["value"] == pytest.approx(0.08, abs=0.004)
     assert finding["held_out_gain"] is None
+    assert document["repeated"] == []
+    # The written model has 0.08 N*m; without the change it is the one that the robot had.
+    undone = document["counterfactual"]
+    assert undone["holds"]
+    errors = undone["joints"]["left"]
+    assert errors["rms_undone"] == pytest.approx(errors["rms_known"], rel=0.05)
+    assert errors["rms_changed"] > 3.0 * errors["rms_known"]
+    written = (tmp_path / "out" / "realization" / "model.xml").read_text()
+    assert float(written.split('frictionloss="')[1].split('"')[0]) == pytest.approx(0.08, abs=0.004)
     assert document["position"]["left"]["unit"] == "rad"
     assert "Coulomb friction" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_change_below_the_error_of_the_model_is_named_in_a_repeated_motion(
+    robot: Path, tmp_path: Path
+) -> None:
+    """A magnet is in no law of the catalogue; its error is twice that of the change."""
+    for seed in range(4):
+        record(tmp_path / f"old{seed}.mcap", seed, seconds=2.0, joints=JOINTS, **MAGNET)
+    (tmp_path / "model.xml").write_text((robot / "model.xml").read_text())
+    # Another seed of the noise, the same commands.
+    again = record(tmp_path / "again.mcap", 1, seconds=2.0, joints=JOINTS, noise=1.1e-4,
+                   **(MAGNET | {"dry": 0.05}))  # fmt: skip
+    _, document = compare(tmp_path, tmp_path / "out", again)
+    (motion,) = document["repeated"]
+    assert (motion["new"], motion["before"]) == ("again.mcap", ["old1.mcap"])
+    difference = motion["difference"]["left"]
+    assert difference["rms_after"] < 0.4 * difference["rms"]
+    assert (document["findings"][0]["effect"], document["findings"][0]["joint"]) == (
+        "coulomb_friction", "left",
+    )  # fmt: skip
+    assert "again.mcap repeats old1.mcap" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_what_the_metadata_declare_is_named_as_declared(robot: Path, tmp_path: Path) -> None:
+    warm = {**DECLARED, "temperature": "31", "tool": "gripper B"}
+    new = record(
+        tmp_path / "new.mcap", 20, seconds=2.0, joints=JOINTS, metadata=warm, **WRONG
+    )  # fmt: skip
+    _, document = compare(robot, tmp_path / "out", new)
+    assert document["verdict"] == "no_change"
+    assert document["declared"] == [
+        {"what": "tool", "before": ["none"], "now": ["gripper B"], "in_model": False},
+        {"what": "temperature", "before": ["none"], "now": ["31"], "in_model": False},
+    ]
+    assert (
+        "Declared: tool none before, gripper B now"
+        in (tmp_path / "out" / "report.html").read_text()
+    )
 
 
 def test_a_later_command_is_a_delay_of_commands_or_readings(robot: Path, tmp_path: Path) -> None:
