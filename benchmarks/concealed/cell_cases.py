@@ -92,8 +92,15 @@ class CellScene:
                         outside=force, again=again)  # fmt: skip
 
 
-def make(seed: int, out: Path, truth: Path, joints: int | None = None) -> str:
-    """Write one case; returns its name."""
+def make(
+    seed: int, out: Path, truth: Path, joints: int | None = None, *, has_before: bool = False
+) -> str:
+    """Write one case; returns its name.
+
+    Args:
+        has_before: whether a session of the robot without the hidden effects, with other motions,
+            is in the folder ``before`` of the case.
+    """
     rng = np.random.default_rng([20_261_128, seed])
     kind = kind_of(seed)
     count = drawn(COUNTS, rng)
@@ -121,6 +128,12 @@ def make(seed: int, out: Path, truth: Path, joints: int | None = None) -> str:
     whole = simulate(robot, cell, hidden, background, reference, outside=force)
     name = f"{FAMILY}{seed}"
     write_case(out / name, robot, cell, logger, hidden, whole, whole.sent, rng)
+    if has_before:
+        other = np.random.default_rng([20_261_128, seed, 1])
+        unaltered = simulate(robot, cell, Hidden(), background, setpoints(robot, seconds, other))
+        write_case(
+            out / name / "before", robot, cell, logger, Hidden(), unaltered, unaltered.sent, other
+        )
     if force is not None and outside is not None:
         size = float(force["size"][0])
         outside |= {
@@ -142,10 +155,14 @@ def main() -> None:
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--seeds", type=seeds, default="0:8", help=SEEDS)
     parser.add_argument("--joints", type=int, help="of every robot, in place of a drawn number")
+    parser.add_argument("--before", action="store_true", help="with an earlier unaltered session")
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
     with ProcessPoolExecutor(args.jobs) as pool:
-        jobs = [pool.submit(make, s, args.out, args.truth, args.joints) for s in args.seeds]
+        jobs = [
+            pool.submit(make, s, args.out, args.truth, args.joints, has_before=args.before)
+            for s in args.seeds
+        ]
         for job in jobs:
             print(job.result(), flush=True)
 

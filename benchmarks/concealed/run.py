@@ -63,6 +63,7 @@ def diagnose(
         str(Path(sys.executable).with_name("pytest-twin")), "diagnose", "--seconds", "0",
         str(model_of(case)),
         *sorted(str(path) for path in (case / "recordings").glob("*.mcap")),
+        *before_of(case),
         "--out", str(box / "said"),
         *(() if ends_after is None else ("--seconds", str(ends_after))),
     ]  # fmt: skip
@@ -112,6 +113,12 @@ def model_of(case: Path) -> Path:
     """Return ``twin.yaml`` of a case if its recordings differ in the controller, else its model."""
     twin = case / "twin.yaml"
     return twin if twin.exists() else case / "model.xml"
+
+
+def before_of(case: Path) -> list[str]:
+    """Return the options for the recordings of an earlier session, if the case has one."""
+    earlier = sorted(str(path) for path in (case / "before" / "recordings").glob("*.mcap"))
+    return ["--before", *earlier] if earlier else []
 
 
 def processor_seconds() -> float:

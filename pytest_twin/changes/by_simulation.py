@@ -19,7 +19,13 @@ from pytest_twin.changes.comparison import Comparison, compare
 from pytest_twin.changes.find_changes import extrapolation_notes
 from pytest_twin.changes.position_rows import PositionLaws, in_parts, position_laws
 from pytest_twin.changes.recordings import FEWEST_SESSIONS, sessions_of
-from pytest_twin.changes.repeated import RepeatedMotion, repeated_motions
+from pytest_twin.changes.repeated import (
+    RepeatedAlarm,
+    RepeatedMotion,
+    is_alarm,
+    least_likely,
+    repeated_motions,
+)
 from pytest_twin.changes.trials import ComparedTrials
 from pytest_twin.changes.undone import not_excluded_before
 from pytest_twin.diagnosis.budget import Budget
@@ -58,6 +64,7 @@ class SimulatedChanges:
         uncertain_before: those of them that the earlier recordings do not exclude.
         carried: half width of the 95 % interval of their parameters by the earlier model, SI units.
         repeated: new recordings that repeat the motion of earlier ones.
+        least_likely: the difference of these that is least likely where nothing changed.
         before, new, held_out: the recordings.
         sessions: how earlier sessions were distinguished, such as ``8 recordings``.
         is_complete: whether the search for changes ended by itself.
@@ -72,12 +79,19 @@ class SimulatedChanges:
     uncertain_before: frozenset[Term]
     carried: Mapping[Term, Mapping[str, float]]
     repeated: tuple[RepeatedMotion, ...]
+    least_likely: RepeatedAlarm | None
     before: tuple[Trial, ...]
     new: tuple[Trial, ...]
     held_out: tuple[Trial, ...]
     sessions: str
     is_complete: bool
     notes: tuple[str, ...]
+    level: float
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether the score or a repeated motion is an alarm."""
+        return self.comparison.is_changed or is_alarm(self.least_likely, self.level)
 
 
 def find_changes_by_simulation(
@@ -121,8 +135,9 @@ def find_changes_by_simulation(
         found, repeated = None, repeated_motions(before.fit, new.fit)
         uncertain_before = frozenset[Term]()
         carried: Mapping[Term, Mapping[str, float]] = {}
+        unlikely = least_likely(repeated, known.found)
         second = Run(_part_of(budget, 1.0))
-        if comparison.is_changed:
+        if comparison.is_changed or is_alarm(unlikely, level):
             structure = find_structure(
                 realization, replace(new, earlier=known.found.trials.fit), inherited=patched,
                 run=second, progress=lambda fraction: progress(0.5 + 0.4 * fraction),
@@ -131,7 +146,7 @@ def find_changes_by_simulation(
             notes += found.notes
             changes = structure.found.prepared
             hypothesis = structure.found.explanation.hypothesis
-            repeated = repeated_motions(before.fit, new.fit, changes, hypothesis)
+            repeated = repeated_motions(before.fit, new.fit, structure.found)
             uncertain_before = not_excluded_before(
                 structure.setup, known.found.trials.fit, changes, hypothesis
             )
@@ -142,8 +157,8 @@ def find_changes_by_simulation(
         notes += [f"{which} recordings: {note}" for note in describe_skipped_searches(run)]
     return SimulatedChanges(
         known, patched, laws, rows, comparison, found, uncertain_before, carried, repeated,
-        before.fit, new.fit, new.held_out, words, not second.skipped_searches,
-        tuple(dict.fromkeys(notes)),
+        unlikely, before.fit, new.fit, new.held_out, words, not second.skipped_searches,
+        tuple(dict.fromkeys(notes)), level,
     )  # fmt: skip
 
 

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
@@ -49,9 +48,9 @@ def carried_half_widths(
             columns.append(start + k)
             # How much the earlier parameter would have to change, in multiples of its scale.
             scale = earlier.scales.value(p, term.joint)
-            known = float(before.theta[start + k]) * scale
+            present = float(before.theta[start + k]) * scale
             change = step * changes.scales.value(p, own.joint)
-            sizes.append(float(p.combined(known, p.neutral + change) - known) / scale)
+            sizes.append(float(p.combined(present, p.neutral + change) - present) / scale)
     rows, steps = finite_differences(hypothesis)
     base, *moved = problem.residuals([hypothesis, *rows, *shifts], problem.fit)
     weight = problem.weights(np.mean(base**2, axis=0))
@@ -64,7 +63,7 @@ def carried_half_widths(
     )
     normal = own_slopes @ own_slopes.T
     normal += _RIDGE * np.diag(np.maximum(np.diag(normal), 1e-300))
-    gain: FloatArray = np.linalg.solve(normal, own_slopes @ earlier_slopes.T)
+    gain = np.linalg.solve(normal, own_slopes @ earlier_slopes.T)
     covariance = np.nan_to_num(uncertainty.covariance[np.ix_(columns, columns)])
     half = uncertainty.quantile * np.sqrt(
         np.maximum(np.einsum("pq,qr,pr->p", gain, covariance, gain), 0.0)

@@ -42,12 +42,12 @@ def simulated_document(
     units = [si_unit("position", slide) for slide in found.laws.slides]
     document = {
         "schema": 1,
-        "verdict": verdict_of(comparison.is_changed, bool(findings)),
+        "verdict": verdict_of(found.is_changed, bool(findings)),
         "by": "simulation",
         "before": {"recordings": _names(found.before), "release": release},
         "new": _names(found.new),
         "findings": findings,
-        "alarm": alarm_json(comparison, level, found.sessions),
+        "alarm": alarm_json(comparison, level, found.sessions) | {"repeated": _alarm(found)},
         "position": _residuals(found, units),
         "repeated": [_repeated(motion, dict(zip(joints, units, strict=True)))
                      for motion in found.repeated],
@@ -71,6 +71,17 @@ def simulated_document(
             },
         }
     return document
+
+
+def _alarm(found: SimulatedChanges) -> dict[str, Any] | None:
+    """The repeated motion whose difference is least likely; null without one."""
+    least = found.least_likely
+    if least is None:
+        return None
+    return {
+        "recording": least.new.path.name, "joint": least.joint,
+        "probability": number(least.probability),
+    }  # fmt: skip
 
 
 def _residuals(found: SimulatedChanges, units: Sequence[str]) -> dict[str, dict[str, Any]]:

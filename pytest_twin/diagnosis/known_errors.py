@@ -66,6 +66,8 @@ def with_known_errors(
     if not earlier:
         return problem
     residuals = _residuals(setup, earlier, problem.joints, window)
+    if not residuals:
+        return problem
     usual = np.mean([each.mean_square for each in residuals], axis=0)
     subtracted: dict[int, FloatArray] = {}
     variances = []
@@ -93,16 +95,21 @@ def with_known_errors(
 def _residuals(
     setup: ModelSetup, earlier: Sequence[Trial], joints: Sequence[str], window: float | None
 ) -> list[_EarlierResidual]:
-    """What the model leaves in each earlier recording."""
+    """What the model leaves in each earlier recording on which it does not diverge."""
     prepared = setup.prepare(earlier, (), window)
     problem = prepared.problem
     (errors,) = problem.errors([EMPTY], problem.all_segments)
-    columns = [problem.joints.index(joint) for joint in joints]
+    # Nothing is known of a joint that the earlier recordings lack.
+    of_joints = np.zeros((len(errors), len(joints)))
+    for k, joint in enumerate(joints):
+        if joint in problem.joints:
+            of_joints[:, k] = errors[:, problem.joints.index(joint)]
     owner = np.repeat(prepared.segment_trial, problem.lengths(problem.all_segments))
     time = np.concatenate([s.time for s in problem.simulator.segments])
     return [
-        _EarlierResidual(trial, time[owner == k], errors[owner == k][:, columns])
+        _EarlierResidual(trial, time[owner == k], of_joints[owner == k])
         for k, trial in enumerate(earlier)
+        if np.isfinite(of_joints[owner == k]).all()
     ]
 
 

@@ -136,7 +136,8 @@ def _from_to(finding: Mapping[str, Any]) -> str:
         beside_the_model(finding["effect"], key, each[key]["value"], each[key]["unit"])
         for each in (finding["known_before"], finding["parameters"])
     )
-    return f"{place(finding)}, {before} to {now}"
+    unit = finding["change"][key]["unit"]
+    return f"{place(finding)}, {before.removesuffix(f' {unit}')} to {now}"
 
 
 def _is_as_before(document: Mapping[str, Any]) -> bool:
@@ -150,6 +151,15 @@ def _is_as_before(document: Mapping[str, Any]) -> bool:
 def alarm_sentence(document: Mapping[str, Any]) -> str:
     """Return the score, its threshold, and where the threshold is from."""
     alarm = document["alarm"]
+    repeated = alarm.get("repeated")
+    if repeated is not None and repeated["probability"] < alarm["level"] and (
+        alarm["score"] <= alarm["threshold"]
+    ):  # fmt: skip
+        return (
+            f"{repeated['recording']} differs at {repeated['joint']} from the motion that it "
+            f"repeats as {percent(repeated['probability'])} of unchanged recordings would at most; "
+            f"alarm below {percent(alarm['level'])}."
+        )
     freedom = alarm["degrees_of_freedom"]
     law = "a quantile" if freedom is None else f"a t law with {freedom} degrees of freedom"
     return (

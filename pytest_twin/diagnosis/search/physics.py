@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -195,7 +196,6 @@ class SimulatedPhysics:
         self.candidates: Sequence[Term] = tuple(candidates(problem))
         self.given = given_terms(problem)
         self.recorded = RecordedRange.of(problem)
-        self._idle = idle_parameters(problem, self.candidates)
 
     @property
     def joints(self) -> Sequence[str]:
@@ -270,6 +270,11 @@ class SimulatedPhysics:
         """As :meth:`Physics.view_by_simulation`."""
         here = self.problem.at(hypothesis)
         return simulate_around(here, hypothesis, residual, jacobian, closest)
+
+    @cached_property
+    def _idle(self) -> dict[Term, NDArray[np.bool_]]:
+        """Parameters of candidates that change nothing in this robot's drives."""
+        return idle_parameters(self.problem, self.candidates)
 
     def size(self, hypothesis: Hypothesis) -> Size:
         """As :meth:`Physics.size`."""
