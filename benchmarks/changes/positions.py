@@ -1,6 +1,6 @@
 """Changes of real servos from positions alone: XL330 at other gains, and where nothing changed.
 
-    TWIN_RECORDINGS=FOLDER python benchmarks/changes/positions.py gains|unchanged --out DIR [NAME]
+    TWIN_RECORDINGS=FOLDER python benchmarks/changes/positions.py --out DIR gains|unchanged [NAME]
 
 `gains`: 12 ordered pairs of the firmware gains 100, 200, 400 and 800, four recordings each, without
 the metadata that state the gain. `unchanged`: disjoint groups of recordings of one robot with one
