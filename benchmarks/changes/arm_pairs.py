@@ -5,7 +5,7 @@
 An arm with three joints is simulated by Pinocchio at 2 kHz, with Stribeck and load-dependent
 friction, masses 4 % off, a delay of 4 ms, sensor noise and an encoder of 14 bits. The model has
 none of these. Five recordings of 6 s are the earlier ones. Three are new, of which two repeat
-earlier commands. NAME is a change of the list below; all by default. A case in DIR is not run again.
+earlier commands. NAME is a change of the list below; all by default. A case in DIR is kept.
 """
 
 from __future__ import annotations
