@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +110,10 @@ def write_changed_model(
 
     def errors_of(written: Path) -> dict[str, float]:
         loaded = load_written(written)
-        setup = ModelSetup.of(loaded, read_patched_model(loaded))
+        setup = replace(
+            ModelSetup.of(loaded, read_patched_model(loaded)),
+            substeps=prepared.substeps, is_of_robot=known.setup.is_of_robot,
+        )  # fmt: skip
         return _errors(setup, earlier, prepared.window)
 
     total = _with_changes(problem, before, changes, hypothesis)
