@@ -31,6 +31,7 @@ from pytest_twin.changes.undone import not_excluded_before
 from pytest_twin.diagnosis.budget import Budget
 from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.conclusion import ChosenModel, TestedModel, evaluate_on_test
+from pytest_twin.diagnosis.findings import with_unexplained_share
 from pytest_twin.diagnosis.first_answer import FIRST_SECONDS, first_answer
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel, applied_effects
@@ -143,6 +144,10 @@ def find_changes_by_simulation(
                 run=second, progress=lambda fraction: progress(0.5 + 0.4 * fraction),
             )  # fmt: skip
             found = evaluate_on_test(structure, new, new.held_out)
+            if not new.held_out:
+                # With recordings that test the changes, the evaluation does it.
+                explanation = with_unexplained_share(found.explanation, found.tested.errors)
+                found = replace(found, explanation=explanation)
             notes += found.notes
             changes = structure.found.prepared
             hypothesis = structure.found.explanation.hypothesis
