@@ -15,6 +15,9 @@ from pytest_twin.estimation.score import effective_samples
 from pytest_twin.trial import Trial
 from pytest_twin.trial.repeated import is_repeated
 
+_DAY = 10
+"""Number of characters of a date without its time: 2026-05-03."""
+
 
 @dataclass(frozen=True, slots=True)
 class RepeatedMotion:
@@ -75,8 +78,9 @@ def least_likely(motions: Sequence[RepeatedMotion], earlier: SearchResult) -> Re
     """Compare differences of repeated motions with the errors of earlier recordings (F test).
 
     The part of an error that differs from one repetition to the next is at most the whole error of
-    the model in that motion. Where the motion was repeated before, it is the scatter of these
-    repetitions. Samples are counted by their correlation, and tests by Bonferroni's inequality.
+    the model in that motion. Where the motion was repeated on another day, it is the scatter of
+    these repetitions; those of one day share their conditions. Samples are counted by their
+    correlation, and tests by Bonferroni's inequality.
 
     Args:
         motions: the repeated motions.
@@ -101,12 +105,12 @@ def least_likely(motions: Sequence[RepeatedMotion], earlier: SearchResult) -> Re
             if joint not in problem.joints:
                 continue
             change = _change(motion.new, motion.before, joint)
-            if len(motion.before) > 1:
+            column = problem.joints.index(joint)
+            if len({other.metadata.get("date", "")[:_DAY] for other in motion.before}) > 1:
                 each = np.array([_position(o, joint, motion.new.time) for o in motion.before])
                 parts = list(each - each.mean(axis=0))
                 lost = 1.0 - 1.0 / len(parts)
             else:
-                column = problem.joints.index(joint)
                 same = {_key(other) for other in motion.before}
                 parts = [errors[owner == k, column] for k, t in enumerate(trials)
                          if _key(t) in same]  # fmt: skip
@@ -114,7 +118,8 @@ def least_likely(motions: Sequence[RepeatedMotion], earlier: SearchResult) -> Re
             if not parts:
                 continue
             variance = float(np.mean(np.concatenate(parts) ** 2)) / lost
-            ratio = np.mean(change**2) / max(variance * (1.0 + 1.0 / len(motion.before)), 1e-300)
+            variance = max(variance, float(problem.floor[column]) ** 2)
+            ratio = np.mean(change**2) / (variance * (1.0 + 1.0 / len(motion.before)))
             freedom = [_independent(change), lost * sum(map(_independent, parts))]
             chance = min(count * float(f.sf(ratio, *np.maximum(freedom, 1.0))), 1.0)
             tested.append(RepeatedAlarm(motion.new, joint, chance))
