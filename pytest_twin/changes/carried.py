@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
@@ -64,7 +65,10 @@ def carried_half_widths(
     normal = own_slopes @ own_slopes.T
     normal += _RIDGE * np.diag(np.maximum(np.diag(normal), 1e-300))
     gain = np.linalg.solve(normal, own_slopes @ earlier_slopes.T)
-    covariance = np.nan_to_num(uncertainty.covariance[np.ix_(columns, columns)])
+    covariance = _within_bounds(
+        uncertainty.covariance[np.ix_(columns, columns)],
+        0.5 * np.diff(before.bounds, axis=0)[0][columns],
+    )
     half = uncertainty.quantile * np.sqrt(
         np.maximum(np.einsum("pq,qr,pr->p", gain, covariance, gain), 0.0)
     )
@@ -77,6 +81,19 @@ def carried_half_widths(
                 width = float(next(of)) * changes.scales.value(p, term.joint)
                 out.setdefault(term, {})[p.name] = width
     return out
+
+
+def _within_bounds(covariance: FloatArray, most: FloatArray) -> FloatArray:
+    """A covariance without deviations above the largest ones, which physical bounds allow.
+
+    A parameter that the recordings do not determine has an infinite variance.
+    """
+    variance = np.diag(covariance)
+    deviation = np.sqrt(np.where(np.isfinite(variance), np.maximum(variance, 0.0), most**2))
+    inside = np.where(np.isfinite(covariance), covariance, 0.0)
+    inside[np.diag_indices_from(inside)] = deviation**2
+    shrink = np.minimum(1.0, most / np.maximum(deviation, 1e-300))
+    return np.asarray(inside * shrink[:, None] * shrink)
 
 
 def _shifted(hypothesis: Hypothesis, term: Term, parameter: int, step: float) -> Hypothesis:
