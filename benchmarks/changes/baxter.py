@@ -1,6 +1,6 @@
 """Baxter: is a law that is added to real efforts named as what changed?
 
-    TWIN_RECORDINGS=FOLDER python benchmarks/changes/baxter.py [--choices N] [--command N]
+    TWIN_RECORDINGS=FOLDER python benchmarks/changes/baxter.py [--choices N] [--by-law]
 
 Eight recordings of one session of Baxter's left arm are divided into three new and five earlier
 ones. One law at one joint is added to the new ones. Its size is r times the RMS residual of this
@@ -8,18 +8,15 @@ joint after an identification of rigid bodies, armature, friction and bias. Ever
 catalogue at every joint is added once for each choice of the three, with a random shape and sign.
 
 The laws are added to the linear rows; the scatter between recordings is estimated once for each
-choice, because a law that is the same in the three new recordings is no scatter. ``--command N``
-runs N cases through files and ``pytest-twin diagnose --before``.
+choice, because a law that is the same in the three new recordings is no scatter. The same through
+files and the command: ``baxter_command.py``.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import gzip
-import io
 import itertools
-import json
 import os
 import tempfile
 from collections import Counter
@@ -39,9 +36,8 @@ from injected import (
     show,
 )
 
-from pytest_twin import cli
-from pytest_twin.changes.comparison import prepare
 from pytest_twin.changes.motor_types import TypeLaw, type_laws
+from pytest_twin.changes.prepared import prepare
 from pytest_twin.changes.recordings import read_compared
 from pytest_twin.loaded_model import load_model
 from pytest_twin.recording_options import RecordingOptions
@@ -96,7 +92,7 @@ def with_motor_types(
     robot: Robot, choices: Sequence[tuple[int, ...]], seed: int
 ) -> dict[str, list[Outcome]]:
     """Cases of a law of a whole type at r = 0.5 and 1, and of one joint with and without types."""
-    shapes, joints = robot.laws.shapes, robot.laws.joints
+    shapes, joints = robot.shapes, robot.laws.joints
     motors = {name: [joints.index(j) for j in names] for name, names in MOTORS.items()}
     types = type_laws(shapes, robot.rows.scale, motors)
     outcomes: dict[str, list[Outcome]] = {}
@@ -112,7 +108,7 @@ def with_motor_types(
                     answer(robot, prepared, types, (law.term.effect, kind), r * sample)
                 )
             member = shapes[law.members[random.integers(len(law.members))]]
-            single = np.zeros(robot.laws.count)
+            single = np.zeros(len(robot.rows.scale))
             single[member.indices] = sample[member.indices]
             for with_types in (False, True):
                 name = f"one joint, {'with' if with_types else 'no'} types"
@@ -135,10 +131,10 @@ def types_sample(
 
     The sign is that of the type; the size of each joint deviates by 20 % from it.
     """
-    amplitudes = np.zeros(robot.laws.count)
+    amplitudes = np.zeros(len(robot.rows.scale))
     direction = None
     for member in law.members:
-        shape = robot.laws.shapes[member]
+        shape = robot.shapes[member]
         sums = robot.rows.sums_of(new)[shape.term.joint]
         at = np.searchsorted(sums.columns, shape.indices)
         square = sums.matrix[np.ix_(at, at)] / sums.samples
@@ -151,63 +147,9 @@ def types_sample(
     return amplitudes
 
 
-def by_command(
-    robot: Robot, paths: Sequence[Path], count: int, size: float, seed: int
-) -> list[Outcome]:
-    """Cases through the command: the law's effort along the rows is added to the file's efforts."""
-    random = np.random.default_rng(seed)
-    laws = sorted({s.term for s in robot.laws.shapes if s.term.joint >= 0})
-    outcomes = []
-    for _ in range(count):
-        new = sorted(random.permutation(robot.count)[:NEW].tolist())
-        term = laws[random.integers(len(laws))]
-        candidates = [
-            s for s in robot.laws.shapes
-            if s.term == term and (term.effect != "inertial_parameters" or len(s.columns) == 1)
-        ]  # fmt: skip
-        amplitudes = drawn_amplitudes(robot, candidates, term.joint, new, random)
-        with tempfile.TemporaryDirectory() as scratch:
-            changed = []
-            for i in new:
-                changed.append(Path(scratch) / f"new_{paths[i].name}")
-                _write_with(robot, i, size * amplitudes, paths[i], changed[-1])
-            earlier = [str(p) for i, p in enumerate(paths) if i not in new]
-            with (
-                contextlib.redirect_stdout(io.StringIO()),
-                contextlib.redirect_stderr(io.StringIO()),
-            ):
-                cli.main([
-                    "diagnose", str(urdf()), *map(str, changed), "--before", *earlier,
-                    "--out", f"{scratch}/out",
-                ])  # fmt: skip
-            document = json.loads((Path(scratch) / "out" / "diagnosis.json").read_text())
-        first = next(iter(document["findings"]), None)
-        joint = -1
-        if first is not None and first["joint"] is not None:
-            joint = robot.laws.joints.index(first["joint"])
-        outcomes.append(Outcome(
-            term.effect, term.joint, "" if first is None else first["effect"], joint,
-            0.0 if first is None else first["confidence"],
-            document["alarm"]["score"], document["alarm"]["threshold"],
-        ))  # fmt: skip
-    return outcomes
-
-
-def _write_with(robot: Robot, i: int, amplitudes: np.ndarray, source: Path, out: Path) -> None:
-    header = source.read_text().split("\n", 1)[0].split(",")
-    table = np.loadtxt(source, delimiter=",", skiprows=1)
-    added = robot.rows.effort_of(i, amplitudes)
-    time = robot.rows.parts[i].time
-    for j, joint in enumerate(robot.laws.joints):
-        column = header.index(f"{joint}.effort")
-        table[:, column] += np.interp(table[:, 0] - table[0, 0], time, added[:, j])
-    np.savetxt(out, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--choices", type=int, default=8, help="choices of the new recordings")
-    parser.add_argument("--command", type=int, default=0, help="cases through the command")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--by-law", action="store_true", help="the laws at r = 1, one by one")
     args = parser.parse_args()
@@ -238,8 +180,6 @@ def main() -> None:
                 print(f"  {effect:<30} {sum(o.is_right for o in of_law)} of {len(of_law)}; {wrong}")
         for name, of_kind in with_motor_types(robot, some[:3], args.seed).items():
             show(name, of_kind)
-        for r in (0.5, 1.0) if args.command else ():
-            show(f"command, r = {r:g}", by_command(robot, paths, args.command, r, args.seed))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ choice of new recordings, because a law that is the same in all of them is no sc
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,15 +14,13 @@ import numpy as np
 import scipy.stats
 
 from pytest_twin.changes.background import Contrast, Rows
-from pytest_twin.changes.comparison import (
-    SURE_OF_NAME,
-    Prepared,
-    best_change,
-    evidence_of,
-    prepare,
-)
+from pytest_twin.changes.comparison import SURE_OF_NAME, is_unpredicted
+from pytest_twin.changes.evidence import evidence_of
 from pytest_twin.changes.motor_types import TypeLaw
+from pytest_twin.changes.naming import best_possible
+from pytest_twin.changes.prepared import Prepared, prepare
 from pytest_twin.changes.recordings import at_one_rate
+from pytest_twin.changes.tool_load import with_tool_load
 from pytest_twin.identification.effort.law_columns import EffortLaws, Shape
 from pytest_twin.identification.effort.laws_along import LawsAlong, band_of, rms_of
 from pytest_twin.identification.measured_recordings import MeasuredRecording
@@ -43,10 +42,12 @@ class Robot:
     """Rows of all recordings.
 
     Attributes:
+        shapes: every law at every joint, in every shape.
         residual: (joints,) RMS residual after an identification, N*m.
     """
 
     laws: EffortLaws
+    shapes: tuple[Shape, ...]
     rows: Rows
     residual: np.ndarray
 
@@ -62,21 +63,24 @@ def robot_of(realization: Realization, recordings: Sequence[MeasuredRecording]) 
     along = LawsAlong.of(realization, every, band_of(every))
     effort = rms_of([one.effort for one in every])
     # A joint without a measured effort has no residual, so no case.
-    rows = Rows.of(along.rows(every), np.where(effort > 0.0, effort, 1.0), along.laws.count)
-    return Robot(along.laws, rows, identified_residual(along.laws, rows))
+    parts, shapes, count = with_tool_load(along.laws, along.rows(every))
+    rows = Rows.of(parts, np.where(effort > 0.0, effort, 1.0), count)
+    return Robot(along.laws, shapes, rows, identified_residual(shapes, rows))
 
 
-def identified_residual(laws: EffortLaws, rows: Rows) -> np.ndarray:
+def identified_residual(shapes: Sequence[Shape], rows: Rows) -> np.ndarray:
+    """(joints,) RMS residual after an identification, N*m."""
+    count = len(rows.scale)
     columns = sorted({
-        int(c) for s in laws.shapes if s.term.effect in IDENTIFIED for c in s.indices
+        int(c) for s in shapes if s.term.effect in IDENTIFIED for c in s.indices
     })  # fmt: skip
-    matrix, vector = np.zeros((laws.count, laws.count)), np.zeros(laws.count)
+    matrix, vector = np.zeros((count, count)), np.zeros(count)
     for j, sums in enumerate(rows.sums_of(range(len(rows.parts)))):
         matrix[np.ix_(sums.columns, sums.columns)] += sums.matrix / rows.size[j] ** 2
         vector[sums.columns] += sums.vector / rows.size[j] ** 2
     square = matrix[np.ix_(columns, columns)]
     ridge = 1e-6 * np.trace(square) / len(columns) * np.eye(len(columns))
-    amplitudes = np.zeros(laws.count)
+    amplitudes = np.zeros(count)
     amplitudes[columns] = np.linalg.solve(square + ridge, vector[columns])
     return rows.residual_rms(range(len(rows.parts)), amplitudes)
 
@@ -104,7 +108,7 @@ def drawn_amplitudes(
         direction = np.eye(count)[-1]
     elif effect == "position_dependent_friction":
         direction[0] = 0.0
-    amplitudes = np.zeros(robot.laws.count)
+    amplitudes = np.zeros(len(robot.rows.scale))
     size = random.choice([-1.0, 1.0]) * robot.residual[joint]
     amplitudes[shape.indices] = direction * size / np.sqrt(direction @ square @ direction)
     return amplitudes
@@ -133,7 +137,7 @@ def in_process(
 ) -> dict[float, list[Outcome]]:
     """Size r -> outcomes; r = 0 has one for each choice."""
     outcomes: dict[float, list[Outcome]] = {r: [] for r in (0.0, *sizes)}
-    shapes = robot.laws.shapes
+    shapes = robot.shapes
     by_law: dict[tuple[str, int], list[Shape]] = {}
     for shape in shapes:
         if shape.term.effect != "inertial_parameters" or len(shape.columns) == 1:
@@ -166,15 +170,20 @@ def answer(
     Args:
         law: effect and joint that are added.
     """
-    information, shapes = prepared.contrast.information, robot.laws.shapes
-    contrast = Contrast(information, prepared.contrast.vector + information @ amplitudes)
-    evidence = evidence_of(contrast, shapes, prepared.tempering)
-    first, *_ = best_change(contrast, shapes, types, prepared.tempering, evidence)
+    shapes, tempering = robot.shapes, prepared.tempering
+    contrast, naming = (
+        Contrast(shown.information, shown.vector + shown.information @ amplitudes)
+        for shown in (prepared.contrast, prepared.naming)
+    )
+    evidence = evidence_of(contrast, shapes, tempering)
+    named = best_possible(naming, shapes, types, tempering, robot.rows.largest)
+    first = named[0]
     joint = first.shape.term.joint
     if first.motor is not None:
         joint = next(law.term.joint for law in types if law.motor == first.motor)
     return Outcome(
-        *law, first.shape.term.effect, joint, first.confidence,
+        *law, first.shape.term.effect, joint,
+        0.0 if is_unpredicted(named, prepared, robot.rows.size) else first.confidence,
         prepared.tempering.score(shapes, evidence), prepared.threshold(LEVEL),
     )  # fmt: skip
 
@@ -199,3 +208,21 @@ def show(title: str, outcomes: Sequence[Outcome]) -> None:
         f"{100 * len(named) / total:3.0f} %, right {sum(o.is_right for o in named)} | at 0.9 "
         f"{len(sure)}, right {sum(o.is_right for o in sure)}"
     )
+
+
+BINS = (0.5, 0.7, 0.9, 0.97, 1.0)
+"""Bounds of the confidences that are compared with the shares of right names."""
+
+
+def show_reliability(outcomes: Sequence[Outcome]) -> None:
+    """Print how often names above the alarm level are right, by their confidence."""
+    named = [o for o in outcomes if o.score > o.threshold and o.confidence >= SURE_OF_NAME]
+    for low, high in itertools.pairwise(BINS):
+        own = [o for o in named if low <= o.confidence < high or o.confidence == high == 1.0]
+        if own:
+            right = sum(o.is_right for o in own)
+            mean = sum(o.confidence for o in own) / len(own)
+            print(
+                f"  confidence {low:g} to {high:g}: {len(own)} names, {mean:.2f} on average, right "
+                f"{right / len(own):.2f} ({interval(right, len(own))})"
+            )

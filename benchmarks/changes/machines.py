@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 from baxter import urdf
-from injected import NEW, Outcome, Robot, in_process, interval, robot_of, show
+from injected import NEW, Outcome, Robot, in_process, interval, robot_of, show, show_reliability
 
-from pytest_twin.changes.comparison import prepare
+from pytest_twin.changes.prepared import prepare
 from pytest_twin.changes.recordings import part_of, read_compared
 from pytest_twin.formats.recording import TOPICS
 from pytest_twin.identification.measured_recordings import MeasuredRecording
@@ -62,6 +62,9 @@ def files_of(machine: str, out: Path) -> tuple[Path, list[Path]]:
         paths = tx40_files.write(folder() / machine, out)
         return paths["twin"], [paths["whole"]]
     paths = tiago_files.write(folder() / machine, out)
+    # Its currents have no known torque constant: values are in amperes, names do not depend on it.
+    text = paths["twin"].read_text()
+    paths["twin"].write_text(text.replace("quantity: current", "quantity: current, constant: 1"))
     return paths["twin"], [paths["fit"], paths["held_out"]]
 
 
@@ -79,7 +82,7 @@ def read(machine: str) -> Robot:
         robot = robot_of(realization, cut(compared.before))
     # An identification explains short recordings too well: the size is that of parts left out.
     parts = [[i] for i in range(robot.count)]
-    usual = prepare(robot.rows, parts[:-1], parts[-1:], robot.laws.shapes).usual
+    usual = prepare(robot.rows, parts[:-1], parts[-1:], robot.shapes).usual
     return replace(robot, residual=np.where(robot.residual > 0.0, usual, 0.0))
 
 
@@ -114,6 +117,7 @@ def main() -> None:
         for r, of_size in outcomes.items():
             show(f"r = {r:g}", of_size)
             every += of_size
+        show_reliability([o for of_size in outcomes.values() for o in of_size])
     sure = [o for o in every if o.score > o.threshold and o.confidence >= 0.9]
     if sure:
         right = sum(o.is_right for o in sure)
