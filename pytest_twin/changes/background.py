@@ -52,28 +52,37 @@ class Rows:
         size: (joints,) RMS effort of each joint, N*m or N; amplitudes are relative to it.
         scale: (columns,) amplitude in SI units whose effort is the RMS effort of a joint.
         sums: for each recording and joint, the sums of its scaled rows.
+        largest: (columns,) largest possible change of each amplitude, relative to the RMS effort.
     """
 
     parts: tuple[RecordedRows, ...]
     size: FloatArray
     scale: FloatArray
     sums: tuple[tuple[SessionSums, ...], ...]
+    largest: FloatArray
 
     @classmethod
-    def of(cls, parts: Sequence[RecordedRows], size: FloatArray, count: int) -> Rows:
+    def of(
+        cls,
+        parts: Sequence[RecordedRows],
+        size: FloatArray,
+        count: int,
+        largest: FloatArray | None = None,
+    ) -> Rows:
         """Sum the rows of recordings.
 
         Args:
             count: number of columns.
+            largest: (columns,) largest possible change of each amplitude, SI units; None for any.
         """
-        largest = np.zeros(count)
+        rms = np.zeros(count)
         for j in range(len(size)):
             power, samples = np.zeros(count), 0
             for part in parts:
                 power[part.columns[j]] += (part.matrix[j] ** 2).sum(axis=0)
                 samples += len(part.time)
-            largest = np.maximum(largest, np.sqrt(power / max(samples, 1)) / size[j])
-        scale = 1.0 / np.where(largest > 0.0, largest, np.inf)
+            rms = np.maximum(rms, np.sqrt(power / max(samples, 1)) / size[j])
+        scale = 1.0 / np.where(rms > 0.0, rms, np.inf)
         # A column without effort in one recording is missing there.
         acting = [
             np.unique(np.concatenate([p.columns[j] for p in parts])) for j in range(len(size))
@@ -82,7 +91,8 @@ class Rows:
             tuple(_sums(part, j, columns, scale) for j, columns in enumerate(acting))
             for part in parts
         )
-        return cls(tuple(parts), size, scale, sums)
+        limits = np.full(count, np.inf) if largest is None else largest
+        return cls(tuple(parts), size, scale, sums, limits / np.where(scale > 0.0, scale, 1.0))
 
     def sums_of(self, session: Sequence[int]) -> list[SessionSums]:
         """For each joint, the sums over the recordings of a session."""

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.changes.comparison import Change, Comparison
+from pytest_twin.changes.comparison import Comparison
 from pytest_twin.changes.find_changes import Changes
+from pytest_twin.changes.naming import Change
+from pytest_twin.changes.tool_load import is_tool_load, mass_and_place
 from pytest_twin.effects.base import si_unit
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.formats.record_fields import Z95
@@ -90,7 +92,38 @@ def _names(found: Changes, which: tuple[int, ...]) -> list[str]:
 
 
 def _finding(found: Changes, change: Change) -> dict[str, Any]:
+    parameters, moved, known = _estimates(found, change)
+    return {
+        "effect": change.shape.term.effect,
+        "joint": _joint(found, change.shape.term),
+        "scope": _scope(change),
+        "motor": change.motor,
+        "confidence": round(change.confidence, 4),
+        "parameters": parameters,
+        "change": moved,
+        "known_before": known,
+        "where": _where(found, change),
+        "held_out_gain": None if found.removed is None else round(found.removed, 5),
+        "residual_gain": round(change.gain, 5),
+        "alternatives": [
+            {"effect": term.effect, "joint": _joint(found, term), "confidence": round(p, 4)}
+            for term, p in change.rivals.items()
+        ],
+        "next_test": _next_test(change),
+    }
+
+
+def _estimates(
+    found: Changes, change: Change
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Parameters now, their change, and their values before, with intervals."""
     shape, columns = change.shape, change.shape.indices
+    if is_tool_load(shape):
+        # A payload is counted from the tool of the earlier recordings.
+        si = found.rows.scale[columns]
+        places = mass_and_place(shape, change.value * si, change.covariance * np.outer(si, si))
+        load = {name: _estimate(value, deviation, unit) for name, unit, value, deviation in places}
+        return load, load, {name: _estimate(0.0, 0.0, one["unit"]) for name, one in load.items()}
     slide = bool(found.laws.dynamics.slides[max(shape.term.joint, 0)])
     scale = found.rows.scale[columns]
     before = found.comparison.background.mean[columns]
@@ -111,24 +144,11 @@ def _finding(found: Changes, change: Change) -> dict[str, Any]:
             value = p.reported(float(shape.values[k]))
             unit = p.unit("slide" if slide else "hinge")
             parameters[p.reported_name] = {"value": number(value), "unit": unit, "ci95": None}
-    return {
-        "effect": shape.term.effect,
-        "joint": _joint(found, shape.term),
-        "scope": _scope(change),
-        "motor": change.motor,
-        "confidence": round(change.confidence, 4),
-        "parameters": parameters,
-        "change": {name: _estimate(new, d, unit) for name, unit, _, _, new, d in rows},
-        "known_before": {name: _estimate(old, d, unit) for name, unit, old, d, _, _ in rows},
-        "where": _where(found, change),
-        "held_out_gain": None if found.removed is None else round(found.removed, 5),
-        "residual_gain": round(change.gain, 5),
-        "alternatives": [
-            {"effect": term.effect, "joint": _joint(found, term), "confidence": round(p, 4)}
-            for term, p in change.rivals.items()
-        ],
-        "next_test": _next_test(change),
-    }
+    return (
+        parameters,
+        {name: _estimate(new, d, unit) for name, unit, _, _, new, d in rows},
+        {name: _estimate(old, d, unit) for name, unit, old, d, _, _ in rows},
+    )
 
 
 def _scope(change: Change) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Rows
 from pytest_twin.changes.comparison import Comparison, compare
+from pytest_twin.changes.effort_units import refuse_contradicted, refuse_other_unit
 from pytest_twin.changes.recordings import (
     FEWEST_SESSIONS,
     Compared,
@@ -18,20 +19,12 @@ from pytest_twin.changes.recordings import (
     in_parts,
     sessions_of,
 )
-from pytest_twin.effects.base import si_unit
+from pytest_twin.changes.scatter import INDEPENDENT
+from pytest_twin.changes.tool_load import is_tool_load, with_tool_load
 from pytest_twin.errors import RecordingError, SpecError, TwinError
 from pytest_twin.identification.effort.law_columns import EffortLaws, Shape
 from pytest_twin.identification.effort.laws_along import LawsAlong, band_of, rms_of
 from pytest_twin.realization import Realization
-
-_OTHER_UNIT = 5.0
-"""Ratio of the efforts to those that the earlier recordings predict, above which (or below its
-reciprocal) they have another unit."""
-
-
-_INDEPENDENT = 0.8
-"""Independent values per row: rows have 2.5 times the rate of their bandwidth, and a band-limited
-signal has two independent values for each period of its bandwidth (Shannon)."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +62,7 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
         RecordingError: the efforts of the new recordings have another unit.
     """
     notes = list(compared.notes)
+    refuse_contradicted(realization, compared.before)
     before = list(compared.before)
     sessions, words = sessions_of(before)
     if len(sessions) < FEWEST_SESSIONS:
@@ -81,18 +75,19 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
     every = at_one_rate([*before, *compared.new, *compared.held_out])
     before = every[: len(before)]
     along = LawsAlong.of(realization, before, band_of(every))
-    laws, parts = along.laws, along.rows(every)
+    laws = along.laws
+    parts, shapes, count = with_tool_load(laws, along.rows(every))
     known = np.isfinite(np.concatenate([part.effort for part in parts])).any(axis=0)
     size = np.where(known, rms_of([one.effort for one in before]), 1.0)
-    rows = Rows.of(parts, size, laws.count)
+    rows = Rows.of(parts, size, count, largest_changes(laws, shapes, count))
     first, last = len(before), len(before) + len(compared.new)
-    _refuse_short(rows, sessions, laws.shapes)
+    refuse_other_unit(rows, range(first, last), size)
+    _refuse_short(rows, sessions, shapes)
     later, _ = sessions_of(compared.new)
     comparison = compare(
-        rows, sessions, [[first + i for i in own] for own in later], laws.shapes, level,
+        rows, sessions, [[first + i for i in own] for own in later], shapes, level,
         motors_of(realization, laws.joints),
     )  # fmt: skip
-    _refuse_other_unit(rows, comparison, range(first, last), size)
     notes += extrapolation_notes(comparison, laws.joints, level)
     lost = [
         j
@@ -104,11 +99,30 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
             f"the earlier recordings do not predict each other at {', '.join(lost)}: no change is "
             "named there; record motions that repeat"
         )
+    notes += unlike_notes(comparison, laws.joints)
     held_out = range(last, len(every))
     return Changes(
         laws, rows, comparison, tuple(range(first)), tuple(range(first, last)), tuple(held_out),
         words, _removed(rows, comparison, held_out), tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+def largest_changes(laws: EffortLaws, shapes: Sequence[Shape], count: int) -> FloatArray:
+    """(columns,) largest possible change of each amplitude, SI units.
+
+    Both values of a changed amplitude lie within the bounds of the catalogue. A column that several
+    laws share has the widest.
+    """
+    largest = np.zeros(count)
+    for shape in shapes:
+        if is_tool_load(shape):
+            largest[shape.indices] = np.inf
+            continue
+        for k, column in shape.columns.items():
+            p = shape.term.parameters[k]
+            width = (p.upper - p.lower) * laws.scales.value(p, max(shape.term.joint, 0))
+            largest[column] = max(largest[column], width)
+    return largest
 
 
 def extrapolation_notes(comparison: Comparison, joints: Sequence[str], level: float) -> list[str]:
@@ -122,6 +136,17 @@ def extrapolation_notes(comparison: Comparison, joints: Sequence[str], level: fl
         f"{np.sqrt(comparison.uncertainty[joint]):.1f} times less precisely than their own: the "
         f"alarm level is {comparison.threshold:.1f} instead of {usual_level:.1f}; repeat an "
         "earlier motion"
+    ]
+
+
+def unlike_notes(comparison: Comparison, joints: Sequence[str]) -> list[str]:
+    """A line if the new recordings have a part that no law describes and that is new."""
+    unlike = [joint for joint, new in zip(joints, comparison.unlike, strict=True) if new]
+    if not unlike:
+        return []
+    return [
+        f"what no law describes has grown at {', '.join(unlike)}: something changed there that the "
+        "catalogue lacks"
     ]
 
 
@@ -150,7 +175,7 @@ def motors_of(realization: Realization, joints: Sequence[str]) -> dict[str, list
 def _refuse_short(rows: Rows, sessions: Sequence[Sequence[int]], shapes: Sequence[Shape]) -> None:
     """Refuse earlier sessions with fewer independent values than a joint has laws."""
     laws = max(Counter(term.joint for term in {shape.term for shape in shapes}).values())
-    needed = int(np.ceil(laws / _INDEPENDENT))
+    needed = int(np.ceil(laws / INDEPENDENT))
     for session in sessions:
         samples = max(sums.samples for sums in rows.sums_of(session))
         if samples < needed:
@@ -163,26 +188,6 @@ def _refuse_short(rows: Rows, sessions: Sequence[Sequence[int]], shapes: Sequenc
                 value=f"{samples} rows after filtering, {laws} laws",
                 expected=f"{needed} rows or more in each earlier recording or part, about "
                 f"{seconds * needed / samples:.2g} s",
-            )
-
-
-def _refuse_other_unit(rows: Rows, comparison: Comparison, new: range, size: FloatArray) -> None:
-    """Refuse efforts in another unit: all joints then change by the same factor."""
-    ratios = []
-    for i in new:
-        recording = rows.parts[i].recording
-        measured = rms_of([recording.effort])
-        use = measured > 0.0
-        ratios.append(np.median(measured[use] / size[use]) if use.any() else 1.0)
-    for i, ratio in zip(new, ratios, strict=True):
-        if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
-            raise RecordingError(
-                "its efforts are in another unit than those of the earlier recordings",
-                path=rows.parts[i].recording.path,
-                where="effort",
-                value=f"{ratio:.3g} times as large",
-                expected=f"the same unit, {si_unit('effort', slide=False)}; signals: in twin.yaml "
-                "states another one",
             )
 
 

@@ -60,17 +60,16 @@ class TypeLaw:
         ]
 
     def estimate(
-        self, contrast: Contrast, inflation: FloatArray
+        self, contrast: Contrast, inflation: float
     ) -> tuple[float, FloatArray, FloatArray]:
         """Log evidence against no change, most probable amplitudes and their covariance.
 
         Args:
-            inflation: (shapes,) factor on the variances of a known scatter.
+            inflation: factor on the variances of a known scatter.
         """
-        each = np.repeat(inflation[list(self.members)], len(self.columns) // len(self.members))
         information = contrast.information[np.ix_(self.columns, self.columns)]
-        information = information / np.sqrt(np.outer(each, each))
-        vector = contrast.vector[self.columns] / each
+        information = information / inflation
+        vector = contrast.vector[self.columns] / inflation
         best: tuple[float, FloatArray, FloatArray] | None = None
         evidences = []
         for prior in self.priors():

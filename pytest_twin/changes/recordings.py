@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.changes.effort_units import without_unscaled
 from pytest_twin.diagnosis.temperature import TEMPERATURE_KEY, parse_temperatures
 from pytest_twin.errors import RecordingError
 from pytest_twin.identification.effort.amounts import without_amounts
@@ -89,8 +90,8 @@ def read_compared(
     """Read all recordings; roles in their metadata are ignored.
 
     Raises:
-        RecordingError: a recording is among the earlier and the later ones, or a payload that
-            changed is not declared.
+        RecordingError: a recording is among the earlier and the later ones, or without efforts a
+            payload that changed is not declared.
         TwinError: a recording cannot be read.
     """
     notes: list[str] = []
@@ -113,23 +114,30 @@ def read_compared(
                 where="pose of the base",
                 expected="recordings of a robot with its base fixed to the ground or to a rig",
             )
-    known = {_content(one): one for one in groups[0]}
+    earlier = {_content(one): one for one in groups[0]}
     for one in (*groups[1], *groups[2]):
-        if (same := known.get(_content(one))) is not None:
+        if (same := earlier.get(_content(one))) is not None:
             raise RecordingError(
                 f"the same recording is given with --before, as {same.path.name}",
                 path=one.path,
                 expected="other recordings before and after the change",
             )
-    refuse_undeclared_payloads(realization, groups[0], [*groups[1], *groups[2]])
+    later = [*groups[1], *groups[2]]
+    if has_efforts([*groups[0], *later]):
+        notes += undeclared_payload_notes(realization, groups[0], later)
+    else:
+        refuse_undeclared_payloads(realization, groups[0], later)
     notes += temperature_notes(groups[0], groups[1])
-    read = reduce_to_common_joints(groups[0], [*groups[1], *groups[2]], notes)
+    read = reduce_to_common_joints(groups[0], later, notes)
     read = without_amounts(realization, read)
-    later = read.held_out
-    notes += list(dict.fromkeys(n for one in (*read.fit, *later) for n in one.notes))
+    known = without_unscaled([*read.fit, *read.held_out])
+    read = replace(read, fit=tuple(known[: len(read.fit)]), held_out=tuple(known[len(read.fit) :]))
+    notes += list(dict.fromkeys(n for one in (*read.fit, *read.held_out) for n in one.notes))
     count = len(groups[1])
     return _with_common_efforts(
-        Compared(read.fit, later[:count], later[count:], tuple(dict.fromkeys(notes)))
+        Compared(
+            read.fit, read.held_out[:count], read.held_out[count:], tuple(dict.fromkeys(notes))
+        )
     )
 
 
@@ -172,15 +180,10 @@ def refuse_undeclared_payloads(
     Raises:
         RecordingError: a payload of ``later`` differs and is not declared.
     """
-    stated = () if realization.twin is None else realization.twin.payloads
-
-    def unknown(one: Described) -> str:
-        payload = one.metadata.get("payload", "")
-        return "" if payload.lower() in NO_PAYLOAD or payload in stated else payload
-
-    earlier = {unknown(one) for one in before}
+    stated = stated_payloads(realization)
+    earlier = {_unknown_payload(one, stated) for one in before}
     for one in later:
-        if earlier != {unknown(one)}:
+        if earlier != {_unknown_payload(one, stated)}:
             raise RecordingError(
                 "its payload differs from that of the earlier recordings, and a payload is not "
                 "declared: its weight would be taken for a change of the robot",
@@ -189,6 +192,34 @@ def refuse_undeclared_payloads(
                 value=one.metadata.get("payload", "none"),
                 expected="payloads: in twin.yaml with the mass of every payload",
             )
+
+
+def undeclared_payload_notes(
+    realization: Realization, before: Sequence[Described], later: Sequence[Described]
+) -> list[str]:
+    """A line if payloads differ whose mass the twin does not state: efforts show their mass."""
+    stated = stated_payloads(realization)
+    names = [
+        sorted({_unknown_payload(one, stated) or "none" for one in group})
+        for group in (before, later)
+    ]
+    if names[0] == names[1]:
+        return []
+    return [
+        f"payload {', '.join(names[0])} before, {', '.join(names[1])} now, without a mass in "
+        "twin.yaml: it is estimated as a change"
+    ]
+
+
+def stated_payloads(realization: Realization) -> Collection[str]:
+    """Payloads whose mass the twin states."""
+    return () if realization.twin is None else realization.twin.payloads
+
+
+def _unknown_payload(one: Described, stated: Collection[str]) -> str:
+    """Name of a payload without a stated mass; empty without one."""
+    payload = one.metadata.get("payload", "")
+    return "" if payload.lower() in NO_PAYLOAD or payload in stated else payload
 
 
 def temperature_notes(before: Sequence[Described], new: Sequence[Described]) -> list[str]:

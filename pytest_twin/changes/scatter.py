@@ -71,6 +71,13 @@ class SessionSums:
         )
 
 
+_FREE = 10.0
+"""Standard deviation of an amplitude that is free, relative to the RMS effort."""
+INDEPENDENT = 0.8
+"""Independent values per row: rows have 2.5 times the rate of their bandwidth, and a band-limited
+signal has two independent values for each period of its bandwidth (Shannon)."""
+
+
 @dataclass(frozen=True)
 class Scatter:
     """Scatter of one joint.
@@ -95,6 +102,20 @@ class Scatter:
         weighted = sums.matrix / self.noise
         gain = weighted @ spread
         return weighted - gain @ weighted, (sums.vector - gain @ sums.vector) / self.noise
+
+    def lack_of_fit(self, sums: SessionSums) -> float:
+        """Variance of a session's rows that all laws together leave, relative to the noise.
+
+        Every amplitude is free, so it is large only where no law describes the
+        effort. The amplitudes that the rows determine are no independent values.
+        """
+        weighted = sums.matrix / self.noise
+        shrunk = _inverse(weighted + np.eye(len(weighted)) / _FREE**2)
+        amplitudes = shrunk @ sums.vector / self.noise
+        power = sums.power - 2.0 * float(sums.vector @ amplitudes)
+        power += float(amplitudes @ sums.matrix @ amplitudes)
+        left = INDEPENDENT * sums.samples - float(np.sum(shrunk * weighted))
+        return INDEPENDENT * power / max(left, 1.0) / self.noise
 
 
 def scatter_of(

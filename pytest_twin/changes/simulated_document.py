@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.changes.by_simulation import SimulatedChanges
-from pytest_twin.changes.comparison import Change
 from pytest_twin.changes.document import alarm_json, number, verdict_of
+from pytest_twin.changes.naming import Change
 from pytest_twin.changes.repeated import RepeatedMotion
 from pytest_twin.changes.undone import REALIZATION, Counterfactual
 from pytest_twin.diagnosis.findings import Estimate, Finding, finding_json

@@ -155,12 +155,15 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def motion_of(path: Path, arm: Realization, seed: int, *, base: float, size: float) -> Path:
+def motion_of(
+    path: Path, arm: Realization, seed: int, *, base: float, size: float, ripple: float = 0.0
+) -> Path:
     """Efforts along a Fourier series with a lowest frequency (Hz) and an amplitude (rad)."""
     random = np.random.default_rng(seed)
     time = np.arange(600) / 50.0
     q, v, a = fourier(random, time, 2, 5, base, (size, size))
     effort = needed_effort(arm.model, q, v, a) + 0.05 * random.standard_normal(q.shape)
+    effort += ripple * np.sin(5.0 * q) * np.cos(2.0 * q[:, ::-1])
     return write_recording(path, time, q + 1e-5 * random.standard_normal(q.shape), effort)
 
 
@@ -173,6 +176,46 @@ def test_a_far_larger_and_faster_motion_is_an_alarm_only_if_the_friction_changed
     found, document = compare(slow, tmp_path / "out", new)
     assert (found, document["verdict"] == "no_change") == (status, status == 0)
     assert document["alarm"]["threshold"] == pytest.approx(-np.log(0.05), rel=0.01)
+
+
+def test_what_no_law_describes_is_no_change_where_only_a_far_motion_shows_it(
+    tmp_path: Path,
+) -> None:
+    """A ripple of both angles, in all recordings."""
+    write_model(tmp_path)
+    arm = true_arm(tmp_path)
+    for seed in range(EARLIER):
+        motion_of(tmp_path / f"old{seed}.csv", arm, seed, base=0.05, size=0.15, ripple=0.5)
+    new = motion_of(tmp_path / "new.csv", arm, 50, base=0.1, size=0.8, ripple=0.5)
+    status, document = compare(tmp_path, tmp_path / "out", new)
+    assert (status, document["findings"]) == (0, [])
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0])
+def test_a_change_that_no_law_describes_is_an_alarm_without_a_name(
+    robot: Path, tmp_path: Path, size: float
+) -> None:
+    arm = true_arm(tmp_path)
+    time, position, effort = simulated_effort(arm, 21, seconds=12.0, rate=50.0)
+    effort += size * np.sin(12.0 * position) * np.cos(9.0 * position[:, ::-1])
+    new = write_recording(tmp_path / "new.csv", time, position, effort)
+    status, document = compare(robot, tmp_path / "out", new)
+    assert (status, document["verdict"], document["findings"]) == (1, "changed_unnamed", [])
+    assert any("what no law describes has grown at" in note for note in document["notes"])
+
+
+def test_dry_and_viscous_friction_that_change_together_are_both_named(
+    robot: Path, tmp_path: Path
+) -> None:
+    new = record(tmp_path, "new.csv", 11, friction=1.3, damping=2.4)
+    _, document = compare(robot, tmp_path / "out", new)
+    added = {"coulomb_friction": 0.5, "viscous_friction": 0.9}
+    assert {finding["effect"] for finding in document["findings"]} == set(added)
+    for finding in document["findings"]:
+        assert (finding["joint"], finding["confidence"] > 0.9) == ("shoulder", True)
+        (change,) = finding["change"].values()
+        low, high = change["ci95"]
+        assert low < added[finding["effect"]] < high
 
 
 def test_nothing_is_named_at_a_joint_whose_earlier_recordings_do_not_predict_each_other(

@@ -117,6 +117,39 @@ def find_mistakes(
     return found
 
 
+def contradicted_factors(
+    samples: Sequence[RecordingRows], regressor: Regressor, gears: Sequence[float]
+) -> list[InputMistake]:
+    """Joints whose effort no plausible factor of the model's bodies explains.
+
+    The factor that fits best lies beyond 1 / 4 to 4, and with the nearest plausible one the
+    residual at least doubles. So it does not rest on standard deviations, which are too small
+    where the residual is no noise.
+
+    Args:
+        gears: (joints,) stated gear ratios, 1 by default.
+    """
+    found = []
+    for k, joint in enumerate(regressor.joints):
+        problem = _alone_problem(samples, regressor, k)
+        if problem is None:
+            continue
+        use = problem.known[:, 0]
+        columns, effort = problem.matrix[use, 0], problem.effort[use, 0]
+        factor = float(np.linalg.lstsq(columns, effort, rcond=None)[0][0])
+        plausible = min(max(factor, 1.0 / _FAR), _FAR)
+        best, forced = (
+            float(np.linalg.norm(target - own @ np.linalg.lstsq(own, target, rcond=None)[0]))
+            for own, target in (
+                (columns, effort),
+                (columns[:, 1:], effort - plausible * columns[:, 0]),
+            )
+        )
+        if best < _BETTER * forced:
+            found.append(_factor(joint, factor, abs(gears[k])))
+    return found
+
+
 @dataclass(frozen=True, slots=True)
 class _Rescaling:
     """A factor on the positions of some joints, and the mistake that it would correct."""
@@ -198,8 +231,11 @@ def _rescalings(
 def _factor(joint: str, factor: float, gear: float) -> InputMistake:
     what = f"{joint}: the effort is {factor:.3g} times what the model's bodies need"
     for power, said in ((1, "is not applied to the effort"), (2, "is applied the wrong way round")):
-        near = abs(abs(math.log(factor)) - power * math.log(gear)) < _LIKE
-        if gear > 1.0 and near:
+        if (
+            gear > 1.0
+            and factor > 0.0
+            and (abs(abs(math.log(factor)) - power * math.log(gear)) < _LIKE)
+        ):
             return InputMistake(
                 joint,
                 f"{what}: the gear ratio {gear:g} {said}",

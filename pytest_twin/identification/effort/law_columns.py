@@ -99,6 +99,8 @@ class EffortRows:
         effort: (n, joints) measured effort minus that of the model, N*m or N; NaN where unknown.
         columns: for each joint, (k,) indices of the columns that act on it.
         matrix: for each joint, (n, k) effort per unit of these amplitudes.
+        tip: (n, joints, 10) effort per unit of each inertial parameter of the last link, in the
+            order of ``inverse_dynamics.INERTIAL``.
     """
 
     recording: MeasuredRecording
@@ -106,6 +108,7 @@ class EffortRows:
     effort: FloatArray
     columns: tuple[NDArray[np.intp], ...]
     matrix: tuple[FloatArray, ...]
+    tip: FloatArray
 
 
 Column = Mapping[int, FloatArray]
@@ -120,6 +123,7 @@ class EffortLaws:
         shapes: every law at every joint, in every shape.
         count: number of columns.
         scales: reference scales of the parameters.
+        tip: index of the last joint.
 
     Args:
         scales: reference -> (joints,) typical size in SI units, see
@@ -133,6 +137,7 @@ class EffortLaws:
         self.dynamics = InverseDynamics(realization, joints)
         self._model = realization.model
         self._layout = Layout(realization.model, (), joints)
+        self.tip = max(range(len(joints)), key=lambda j: self.dynamics.links.index(joints[j]))
         ones = np.ones(len(joints))
         self.scales = Scales({
             **scales,
@@ -209,6 +214,16 @@ class EffortLaws:
         scale = [self.scales.value(p, joint) for joint in range(len(self.joints))]
         return _SMALL * start * np.array(scale)
 
+    @property
+    def tip_axes(self) -> FloatArray:
+        """(3, 3) own axes of a payload on the last link as rows, in the frame of its joint."""
+        (axes,) = self._layout.payload_axes(np.array([self.tip]))
+        name = self._model.body(self._layout.body_index[self.tip]).name
+        link = self.dynamics.links.index(self.joints[self.tip])
+        bodies = self.dynamics.bodies_of(self.dynamics.link_ids[link])
+        placement = next(body.placement for body in bodies if body.name == name)
+        return np.asarray(axes @ placement.rotation.T, dtype=np.float64)
+
     def _along(self, states: States) -> _Along:
         return _Along(self._model, self._layout, self.dynamics, states)
 
@@ -240,12 +255,15 @@ class EffortLaws:
                     for at, effort in of_joint[joint].items():
                         rows[at].setdefault(shape.columns[k], effort)
         smooth = [inner_rows(np.stack(list(own.values()), axis=1), motion, chosen) for own in rows]
+        tip = along.of_link(self.joints[self.tip])
+        tip_rows = inner_rows(tip.reshape(len(tip), -1), motion, chosen)
         return EffortRows(
             recording,
             inner_rows(motion.time[:, None], motion, chosen)[:, 0],
             inner_rows(measured - along.nominal - carried, motion, chosen),
             tuple(np.array(list(own), dtype=np.intp) for own in rows),
             tuple(smooth),
+            tip_rows.reshape(len(tip_rows), *tip.shape[1:]),
         )
 
 
@@ -316,6 +334,10 @@ class _Along:
         """(n, joints) effort of (links, 10) inertial parameters, N*m or N."""
         found: FloatArray = np.einsum("njlp,lp->nj", self._bodies, inertial)
         return found
+
+    def of_link(self, joint: str) -> FloatArray:
+        """(n, joints, 10) effort per unit of each inertial parameter of a joint's link."""
+        return np.asarray(self._bodies[:, :, self._link[joint]], dtype=np.float64)
 
     def columns(self, form: _Form, amplitude: int, step: FloatArray) -> Mapping[int, Column]:
         """Joint of the law -> its column, per unit of the amplitude.
