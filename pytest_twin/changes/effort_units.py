@@ -80,18 +80,17 @@ def refuse_other_unit(rows: Rows, new: range, size: FloatArray) -> None:
         new: indices of the later recordings.
         size: (joints,) RMS effort of the earlier recordings, N*m or N.
     """
-    ratios = []
     for i in new:
         measured = rms_of([rows.parts[i].recording.effort])
         use = measured > 0.0
-        ratios.append(np.median(measured[use] / size[use]) if use.any() else 1.0)
-    for i, ratio in zip(new, ratios, strict=True):
-        if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+        ratios = measured[use] / size[use]
+        # A payload multiplies the efforts of light wrists too, but not those of all joints.
+        if use.any() and (ratios.min() > _OTHER_UNIT or ratios.max() < 1.0 / _OTHER_UNIT):
             raise RecordingError(
                 "its efforts are in another unit than those of the earlier recordings",
                 path=rows.parts[i].recording.path,
                 where="effort",
-                value=f"{ratio:.3g} times as large",
+                value=f"{np.median(ratios):.3g} times as large",
                 expected=f"the same unit, {si_unit('effort', slide=False)}; signals: in twin.yaml "
                 "states another one",
             )

@@ -12,11 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.effects.friction import (
+    CoulombFriction,
+    LoadDependentFriction,
+    ViscousFriction,
+)
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.effort.law_columns import Shape
 
-_DRY = "coulomb_friction"
-_WITH_DRY = ("viscous_friction", "load_dependent_friction")
+_DRY = CoulombFriction.id
+_WITH_DRY = (ViscousFriction.id, LoadDependentFriction.id)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,9 @@ from pytest_twin.changes.evidence import TWO_SIDED, Tempering, evidence_of, gain
 from pytest_twin.changes.scatter import Scatter, SessionSums, scatter_of
 from pytest_twin.identification.effort.law_columns import Shape
 
+_REST_OF_LAW = 0.05
+"""Share of the effort of a change that its own law leaves: geometry, the filter at reversals, and
+friction under another load leave a few percent."""
 _UNLIKE_SHARE = 0.2
 """Share of the alarm level for efforts that no law describes."""
 
@@ -65,7 +68,8 @@ class Prepared:
             of a session that is left out; above 1 the new motion is an extrapolation.
         undescribed: (sessions, joints) variance that all laws together leave of each earlier
             session, relative to the noise.
-        undescribed_now: (joints,) that of the later sessions.
+        undescribed_now: (joints,) that of the later sessions, without what the law of a change
+            leaves itself.
     """
 
     contrast: Contrast
@@ -162,6 +166,9 @@ def prepare(
     ) / np.max(variances, axis=0)
     undescribed = _undescribed(earlier_sums, scatter)
     undescribed_now = _undescribed(later_sums, scatter).mean(axis=0)
+    change = rows.residual_rms([i for session in later for i in session], background.mean)
+    of_laws = (_REST_OF_LAW * change) ** 2 / np.array([one.noise for one in scatter])
+    undescribed_now = np.maximum(undescribed_now - of_laws, np.finfo(float).tiny)
     lack = np.maximum(undescribed_now / _upper_bound(undescribed, TWO_SIDED), 1.0)
 
     def contrast(dispersion: FloatArray) -> Contrast:

@@ -14,14 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.effects.rigid_body import InertialParameters, Payload
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.effort.law_columns import EffortLaws, EffortRows, Shape
 from pytest_twin.realization.inverse_dynamics import INERTIAL
 
-PAYLOAD = "payload"
 _MASS = INERTIAL.index("m")
 _FIRST = slice(INERTIAL.index("mx"), INERTIAL.index("mz") + 1)
-_OF_LINK = "inertial_parameters"
 _INDEPENDENT = 1e-3
 """Share of the effort of a payload's mass that its moments must leave over, so that a mass is
 estimated at all: with one joint only the first moment is."""
@@ -60,7 +59,7 @@ def with_tool_load(
             columns.append(np.concatenate([own[used], places[seen]]))
             matrices.append(np.concatenate([matrix[:, used], tip[:, j, seen]], axis=1))
         rows.append(replace(part, columns=tuple(columns), matrix=tuple(matrices)))
-    term = Term(PAYLOAD, -1)
+    term = Term(Payload.id, -1)
     neutral = np.array([0.0, 0.0, 0.0, 0.0, 2.0])
     shapes = [
         Shape(term, neutral, {int(k): int(places[k]) for k in np.flatnonzero(acts[:count])})
@@ -71,7 +70,7 @@ def with_tool_load(
 
 def is_tool_load(shape: Shape) -> bool:
     """Whether the amplitudes of a shape are the mass and moments of a payload."""
-    return shape.term.effect == PAYLOAD and len(shape.columns) > 1
+    return shape.term.effect == Payload.id and len(shape.columns) > 1
 
 
 def mass_and_place(
@@ -107,4 +106,4 @@ def _in_own_axes(tip: FloatArray, axes: FloatArray) -> FloatArray:
 
 
 def _is_replaced(term: Term, tip: int) -> bool:
-    return term.effect == PAYLOAD or (term.effect == _OF_LINK and term.joint == tip)
+    return term.effect == Payload.id or (term.effect == InertialParameters.id and term.joint == tip)

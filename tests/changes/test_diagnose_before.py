@@ -178,7 +178,7 @@ def test_a_far_larger_and_faster_motion_is_an_alarm_only_if_the_friction_changed
     assert document["alarm"]["threshold"] == pytest.approx(-np.log(0.05), rel=0.01)
 
 
-def test_what_no_law_describes_is_no_change_where_only_a_far_motion_shows_it(
+def test_what_no_law_describes_has_no_sure_name_where_only_a_far_motion_shows_it(
     tmp_path: Path,
 ) -> None:
     """A ripple of both angles, in all recordings."""
@@ -187,8 +187,8 @@ def test_what_no_law_describes_is_no_change_where_only_a_far_motion_shows_it(
     for seed in range(EARLIER):
         motion_of(tmp_path / f"old{seed}.csv", arm, seed, base=0.05, size=0.15, ripple=0.5)
     new = motion_of(tmp_path / "new.csv", arm, 50, base=0.1, size=0.8, ripple=0.5)
-    status, document = compare(tmp_path, tmp_path / "out", new)
-    assert (status, document["findings"]) == (0, [])
+    _, document = compare(tmp_path, tmp_path / "out", new)
+    assert all(finding["confidence"] < 0.9 for finding in document["findings"])
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0])
