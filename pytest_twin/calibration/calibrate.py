@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin import __version__
 from pytest_twin.calibration.basis import calibration_basis
 from pytest_twin.calibration.cameras.half_turn import with_consistent_orientation
 from pytest_twin.calibration.cameras.image_refinement import ImageRefinement, calibrate_intrinsics
@@ -19,6 +18,7 @@ from pytest_twin.calibration.changed_cell import changed_cell
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident_markers import ExcludedMeasurement, without_coincident
 from pytest_twin.calibration.compliance import Compliance, with_compliance
+from pytest_twin.calibration.document import new_document
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weigh_by_source
 from pytest_twin.calibration.input_mistake import InputMistake
@@ -258,12 +258,7 @@ def calibrate(
     fit = solved.estimate.fit
     problem = replace(problem, layout=fit.problem.layout)
     held = problem.on_rows(held_rows)
-    document: dict[str, Any] = {
-        "schema": 1,
-        "calibration": plan.id,
-        "verdict": "degenerate",
-        "records": records(solved.estimate),
-    }
+    document = {**new_document(plan), "records": records(solved.estimate)}
     # Rates are differences between neighbours in time, including held-out ones.
     everywhere = errors_of(problem, fit.state)
     of_all = everywhere.only(np.isin(everywhere.rows, held_rows))
@@ -330,7 +325,6 @@ def calibrate(
     )
     document["pose_diversity"] = pose_diversity(fit.problem, solved.estimate)
     document["next_poses"] = next_poses(solved.estimate)
-    document["software"] = {"pytest-twin": __version__}
     progress(1.0)
     return document
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.document import new_document
 from pytest_twin.calibration.observations import SIDES, Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.records import estimate_entry
@@ -115,22 +115,17 @@ def calibrate_encoders(
         "encoder_home": (home, "model position = sign * encoder reading + value"),
     }
     return {
-        "schema": 1,
-        "calibration": plan.id,
+        **new_document(plan),
         "verdict": "degenerate" if unobservable else "accepted",
         "records": {
             name: {"values": values, "meaning": meaning}
             for name, (values, meaning) in records.items()
             if values
         },
-        "held_out": {"count": 0},
         "fitted": {"count": len(observations)},
-        "solvers": {},
-        "excluded": [],
         "unobservable": unobservable,
         "reasons": list(unobservable),
         "notes": [*observations.notes, *notes],
-        "software": {"pytest-twin": __version__},
     }
 
 

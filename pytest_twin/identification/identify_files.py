@@ -21,12 +21,14 @@ from pytest_twin.identification.closed_loop import (
 )
 from pytest_twin.identification.contact.identify_contact import are_tosses, identify_contact
 from pytest_twin.identification.contact.roles import TossOptions
+from pytest_twin.identification.document import nominal_document
 from pytest_twin.identification.drive_effects import (
     add_covariance,
     drive_recordings,
     with_drive_effects,
 )
 from pytest_twin.identification.effort.amounts import without_amounts
+from pytest_twin.identification.effort.document import effort_document
 from pytest_twin.identification.effort.identify_effort import (
     EffortResult,
     has_effort,
@@ -39,7 +41,6 @@ from pytest_twin.identification.fit_patches import laws_of, patches_of, reading_
 from pytest_twin.identification.known_effects import notes_on_effects
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
 from pytest_twin.identification.recheck import EffortRecord, effort_errors
-from pytest_twin.identification.records import effort_document, nominal_document
 from pytest_twin.identification.roles import read_by_role
 from pytest_twin.identification.sensing.identify_sensors import identify_sensors
 from pytest_twin.identification.sensing.sensor_recordings import NamedSensor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_twin.identification.records import correlated_pairs
+from pytest_twin.estimation.covariance import correlated_pairs
 
 
 def test_pairs_beyond_0_9_are_named_the_strongest_first() -> None:

@@ -9,6 +9,7 @@ import pytest
 from arms import JOINTS, simulated_effort, true_arm, write_model
 
 from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.effort.document import effort_document
 from pytest_twin.identification.effort.encoders import (
     EncoderError,
     EncoderErrors,
@@ -17,7 +18,6 @@ from pytest_twin.identification.effort.encoders import (
 from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.effort.least_squares import LinearProblem, Solution
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
-from pytest_twin.identification.records import effort_document
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS
 

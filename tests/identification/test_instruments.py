@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from arms import JOINTS, closed_loop, true_arm, write_model
 
+from pytest_twin.identification.effort.document import effort_document
 from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.measured_recordings import MeasuredRecording, MeasuredRecordings
-from pytest_twin.identification.records import effort_document
 from pytest_twin.identification.regressor import Regressor
 from pytest_twin.realization import load
 from pytest_twin.signals import NO_SIGNALS

@@ -12,6 +12,7 @@ from scipy import signal
 
 from pytest_twin.errors import RecordingError
 from pytest_twin.excitation.approved_limits import MECHANISMS
+from pytest_twin.identification.effort.document import effort_document
 from pytest_twin.identification.effort.identify_effort import EffortResult, identify_effort
 from pytest_twin.identification.identify_files import identify_files
 from pytest_twin.identification.measured_recordings import (
@@ -19,7 +20,6 @@ from pytest_twin.identification.measured_recordings import (
     MeasuredRecordings,
     saturation_level,
 )
-from pytest_twin.identification.records import effort_document
 from pytest_twin.realization import load
 from pytest_twin.report.identification import mechanisms, render
 from pytest_twin.signals import NO_SIGNALS, Signals

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from pytest_twin import __version__
 from pytest_twin.calibration.cameras.corner_refinement import intrinsics_record, refine_on_corners
 from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.coincident_markers import ExcludedMeasurement
+from pytest_twin.calibration.document import new_document
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.records import CalibrationEstimate
@@ -93,16 +93,10 @@ def calibrate_intrinsics(
     fitted, held_out = split(plan, observations, [one.id for one in rejected])
     seen = ImageRefinement(images, observations, fitted)
     document: dict[str, Any] = {
-        "schema": 1,
-        "calibration": plan.id,
-        "verdict": "degenerate",
-        "records": {},
+        **new_document(plan),
         "held_out": {"count": len(held_out)},
         "fitted": {"count": len(fitted)},
-        "solvers": {},
         "excluded": [one.to_json() for one in rejected],
-        "unobservable": [],
-        "reasons": [],
     }
     document["images"] = images.detected(observations.ids, seen.camera)
     degrees = sum(2 * len(d.corner_ids) - 6 for d in images.detections.values())
@@ -117,7 +111,6 @@ def calibrate_intrinsics(
     else:
         document["reasons"] = list(document["unobservable"])
     document["notes"] = list(seen.notes)
-    document["software"] = {"pytest-twin": __version__}
     return document
 
 

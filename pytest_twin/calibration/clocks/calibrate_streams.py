@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.clocks.correlation import (
     LEAST_CORRELATION,
@@ -29,6 +28,7 @@ from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.stream_mistakes import mistakes_of_streams
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
 from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.calibration.document import new_document
 from pytest_twin.calibration.parameters import POSE_LABELS
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, describe_pose, records_of
@@ -79,21 +79,7 @@ def calibrate_streams(plan: Plan) -> dict[str, Any]:
         TwinError: a stream that cannot be used.
     """
     hand, camera = streams_of(plan)
-    document: dict[str, Any] = {
-        "schema": 1,
-        "calibration": plan.id,
-        "verdict": "degenerate",
-        "records": {},
-        "held_out": {"count": 0},
-        "fitted": {"count": 0},
-        "solvers": {},
-        "excluded": [],
-        "unobservable": [],
-        "suspected": [],
-        "reasons": [],
-        "notes": [],
-        "software": {"pytest-twin": __version__},
-    }
+    document = new_document(plan)
     found = correlate_speeds(hand, camera)
     problem = _unclear(found)
     middle = float(camera.time.mean())

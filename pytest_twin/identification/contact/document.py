@@ -24,7 +24,7 @@ from pytest_twin.identification.contact.parameters import (
 )
 from pytest_twin.identification.contact.restitution import restitution_of
 from pytest_twin.identification.contact.roles import TossSet
-from pytest_twin.identification.records import verdict_of
+from pytest_twin.identification.document import nominal_document, verdict_of
 from pytest_twin.identification.stages import HeldOut, Stage, judge_stage
 from pytest_twin.realization import Realization
 
@@ -64,9 +64,8 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
         )
     model = fit.contact.model
     return {
-        "schema": 1,
+        **nominal_document(f"whole tosses of {body}"),
         "verdict": verdict_of([stage], bool(after.mean() < before.mean()), held, True),
-        "way": f"whole tosses of {body}",
         "tested_on": f"{len(tosses.held_out)} held-out tosses" if held else "the fit tosses",
         "stages": [stage.to_json()],
         "parameters": {
@@ -81,7 +80,6 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
             for name, one in zip(fit.names, deviation.tolist(), strict=True)
         },
         "covariance": {"names": names, "matrix": fit.covariance.tolist()},
-        "base_parameters": [],
         "held_out": {
             body: _errors(
                 fit.fitted_held if held else fit.fitted,
@@ -90,7 +88,6 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
             )
         },
         "fitted": {body: _errors(fit.fitted, fit.nominal, size)},
-        "physical": {"consistent": True, "violations": []},
         "unobservable": [*_undetermined_entries(fit, body), *_without_effect(fit, body)],
         "contact": {
             "pair": {
@@ -115,9 +112,6 @@ def contact_document(fit: ContactFit, tosses: TossSet, realization: Realization)
         },
         "fit": _model_changes(fit, realization),
         "correlated": correlated_pairs(names, fit.covariance),
-        "suspected": [],
-        "without_effort": [],
-        "notes": [],
         "software": {"pytest-twin": __version__, "mujoco": mujoco.__version__},
     }
 

@@ -13,7 +13,7 @@ from pytest_twin.identification.contact.document import contact_document
 from pytest_twin.identification.contact.fit import ContactFit, fit_contact
 from pytest_twin.identification.contact.parameters import contact_model, geom_patch, pair_patch
 from pytest_twin.identification.contact.roles import TossOptions, read_by_role
-from pytest_twin.identification.records import nominal_document
+from pytest_twin.identification.document import nominal_document
 from pytest_twin.identification.write import write_fitted
 from pytest_twin.realization import Realization
 from pytest_twin.realization.free_body import free_body

@@ -18,7 +18,7 @@ from pytest_twin.identification.effort.least_squares import (
     Solution,
     is_determined,
     solve,
-    weight_rows,
+    widened,
 )
 from pytest_twin.identification.effort.recording_rows import encoder_slopes
 from pytest_twin.identification.measured_recordings import MeasuredRecording
@@ -150,14 +150,7 @@ def widen_by_encoder_errors(
     t = value / std
     share = np.maximum(shrinkage(t[~known]), t**2 / (1.0 + t**2))
     size = np.where(known, std, np.hypot(share * value, np.sqrt(share) * std))
-    rows = weight_rows(problem.matrix, solution.weight)
-    change = np.linalg.lstsq(rows, weight_rows(slopes, solution.weight), rcond=None)[0] * size
-    carried = change @ change.T
-    return replace(
-        solution,
-        covariance=solution.covariance + carried,
-        half_width=np.hypot(solution.half_width, Z95 * np.sqrt(np.diag(carried))),
-    )
+    return widened(problem, solution, slopes * size)
 
 
 def slopes_of(

@@ -56,6 +56,7 @@ from pytest_twin.identification.effort.least_squares import (
     linear_problem,
     solve,
     weight_rows,
+    widened,
 )
 from pytest_twin.identification.effort.position_mistakes import position_mistakes
 from pytest_twin.identification.effort.recording_rows import RecordingRows, sample
@@ -460,15 +461,7 @@ def _widen_by_scale_errors(
     whole = np.where(problem.known, np.concatenate(efforts), 0.0) * relative
     slopes = np.stack([np.where(np.arange(len(joints)) == k, whole, 0.0)
                        for k in range(len(joints))], axis=2)  # fmt: skip
-    solution = fitted.solution
-    rows_ = weight_rows(problem.matrix, solution.weight)
-    change = np.linalg.lstsq(rows_, weight_rows(slopes, solution.weight), rcond=None)[0]
-    carried_ = change @ change.T
-    solution = replace(
-        solution,
-        covariance=solution.covariance + carried_,
-        half_width=np.hypot(solution.half_width, Z95 * np.sqrt(np.diag(carried_))),
-    )
+    solution = widened(problem, fitted.solution, slopes)
     return replace(found, fitted=replace(fitted, solution=solution))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,3 +264,20 @@ def _uncertainty(
     left_out = jackknife(np.array(scores), np.array(parts))
     half = np.maximum(Z95 * np.sqrt(np.diag(covariance).clip(0.0)), np.sqrt(np.diag(left_out)))
     return upper_covariance(covariance, left_out / Z95**2), half
+
+
+def widened(problem: LinearProblem, solution: Solution, slopes: FloatArray) -> Solution:
+    """Return the solution with the uncertainty of quantities that it takes as given.
+
+    Args:
+        problem: problem with the columns of the solution.
+        slopes: (n, joints, k) change of the efforts by one standard deviation of each quantity.
+    """
+    rows = weight_rows(problem.matrix, solution.weight)
+    change = np.linalg.lstsq(rows, weight_rows(slopes, solution.weight), rcond=None)[0]
+    carried = change @ change.T
+    return replace(
+        solution,
+        covariance=solution.covariance + carried,
+        half_width=np.hypot(solution.half_width, Z95 * np.sqrt(np.diag(carried))),
+    )

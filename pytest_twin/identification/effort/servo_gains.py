@@ -13,6 +13,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import si_unit
 from pytest_twin.estimation.score import effective_samples
 from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.document import parameter_entry
 from pytest_twin.identification.effort.delay import without_delay
 from pytest_twin.identification.effort.drive_gains import as_torques
 from pytest_twin.identification.effort.effort_scale import divide_by_scales
@@ -41,6 +42,7 @@ _LATEST = 0.3
 _WITHIN_SAMPLE = 0.5
 """Share of a sample by which the readings of effort and position may lie apart in time. It is
 unknown, and shifts the damping by the stiffness times this time."""
+_ESTIMATOR = "weighted least squares"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,15 +84,9 @@ class ServoGains:
             (si_unit("stiffness", self.is_slide), si_unit("damping", self.is_slide)), strict=True,
         )  # fmt: skip
         return {
-            f"{self.joint}.{name}": {
-                "value": value,
-                "unit": of,
-                "ci95": [value - half, value + half],
-                "prior": nominal,
-                "stage": "closed_loop",
-                "used": True,
-                "estimator": "weighted least squares",
-            }
+            f"{self.joint}.{name}": parameter_entry(
+                value, half, of, prior=nominal, stage="closed_loop", used=True, estimator=_ESTIMATOR
+            )
             for name, value, half, nominal, of in rows
         }
 
@@ -107,15 +103,9 @@ class ServoGains:
         """Return ``JOINT.command_delay`` for a record."""
         value, half = self.command_delay(is_held), self.delay[1]
         return {
-            f"{self.joint}.command_delay": {
-                "value": value,
-                "unit": "s",
-                "ci95": [value - half, value + half],
-                "prior": 0.0,
-                "stage": "delay",
-                "used": True,
-                "estimator": "weighted least squares",
-            }
+            f"{self.joint}.command_delay": parameter_entry(
+                value, half, "s", prior=0.0, stage="delay", used=True, estimator=_ESTIMATOR
+            )
         }
 
     def patch(self) -> dict[str, float]:

@@ -15,7 +15,7 @@ from pytest_twin import __version__
 from pytest_twin.errors import RecordingError
 from pytest_twin.estimation.roles import split_by_role
 from pytest_twin.formats.sensor_record import CAMERA, IMU, JOINT_TORQUE
-from pytest_twin.identification.records import verdict_of
+from pytest_twin.identification.document import nominal_document, parameter_entry, verdict_of
 from pytest_twin.identification.sensing.camera_frames import CameraTrial
 from pytest_twin.identification.sensing.estimate import (
     SensorEstimate,
@@ -103,11 +103,9 @@ def identify_sensors(
         stages.append(stage)
         half = found.quantile * np.sqrt(np.diag(found.covariance).clip(0.0))
         for name, value, unit, width in zip(own, found.values, found.units, half, strict=True):
-            parameters[name] = {
-                "value": float(value), "unit": unit,
-                "ci95": [float(value - width), float(value + width)],
-                "prior": 1.0 if "sensor_scale" in name else 0.0, "stage": "sensor",
-            }  # fmt: skip
+            parameters[name] = parameter_entry(
+                value, width, unit, prior=1.0 if "sensor_scale" in name else 0.0, stage="sensor"
+            )
         named += own
         blocks.append(found.covariance)
         axes = found.axes
@@ -131,9 +129,8 @@ def identify_sensors(
         progress(done / len(sensors))
     write_fitted(folder, realization)
     return {
-        "schema": 1,
+        **nominal_document("readings of sensors beside an ideal sensor along the measured motion"),
         "verdict": verdict_of(stages, better, bool(names["held_out"]), True),
-        "way": "readings of sensors beside an ideal sensor along the measured motion",
         "tested_on": "held-out recordings" if names["held_out"] else "the fitted recordings",
         "stages": [stage.to_json() for stage in stages],
         "parameters": parameters,
@@ -141,16 +138,10 @@ def identify_sensors(
             "names": named,
             "matrix": (block_diag(*blocks) if blocks else np.zeros((0, 0))).tolist(),
         },
-        "base_parameters": [],
         "held_out": held,
-        "physical": {"consistent": True, "violations": []},
         "unobservable": unobservable,
         "sensors": models,
         "encoder_steps": steps,
-        "fit": {},
-        "correlated": [],
-        "suspected": [],
-        "without_effort": [],
         "trials": names,
         "notes": list(dict.fromkeys(notes)),
         "software": {"pytest-twin": __version__, "mujoco": mujoco.__version__},

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_twin import __version__
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.passive_joints import impossible
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.base import Parameter
 from pytest_twin.estimation.covariance import correlated_pairs
 from pytest_twin.estimation.hypothesis import Term
+from pytest_twin.identification.document import nominal_document, verdict_of
 from pytest_twin.identification.motions import undetermined_by_command
-from pytest_twin.identification.records import verdict_of
 from pytest_twin.identification.simulation.command_mistakes import command_mistakes
 from pytest_twin.identification.simulation.identify_by_simulation import SimulationResult
 from pytest_twin.identification.simulation.stage_tests import place_of
@@ -35,14 +34,12 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
     suspected = command_mistakes(result.trials.fit)
     fatal = any(one.is_fatal for one in suspected)
     return {
-        "schema": 1,
+        **nominal_document("commands and positions"),
         "verdict": verdict_of(result.stages, bool(better) and not fatal, tested, not against),
-        "way": "commands and positions",
         "stages": [stage.to_json() for stage in result.stages],
         "parameters": parameters,
         "covariance": {"names": names, "matrix": covariance.tolist()},
         "correlated": correlated_pairs(names, covariance),
-        "base_parameters": [],
         "held_out": {
             joint: {
                 "position_rms": error.after,
@@ -65,7 +62,6 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
             for term, stage in result.undetermined.items()
         ],
         "notes": list(dict.fromkeys(result.notes)),
-        "software": {"pytest-twin": __version__},
     }
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from pytest_twin import __version__
 from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.estimation.covariance import correlated_pairs
 from pytest_twin.formats.record_fields import Z95
+from pytest_twin.identification.document import nominal_document, parameter_entry, verdict_of
 from pytest_twin.identification.effort.encoders import SCALE, undetermined_entries
 from pytest_twin.identification.effort.estimate import SQUARES
 from pytest_twin.identification.effort.groups import is_of_drive, stage_of
@@ -21,8 +21,6 @@ from pytest_twin.identification.motions import undetermined_by_effort
 from pytest_twin.identification.stages import Stage, in_order
 from pytest_twin.metrics.joint_covariance import with_deviations
 
-Verdict = Literal["accepted", "improved", "rejected"]
-
 _UNEXPLAINED = 0.95
 """Relative error of an effort from which nothing of it is predicted."""
 _FAR_FROM_LEAST_SQUARES = 1.0
@@ -32,48 +30,7 @@ _SMALL_ERROR = 0.03
 """Relative error of plain least squares below which it counts as so large."""
 _INERTIA_OF_MODELS = 0.3
 """Half width of the 95 % interval of a model's inertia, relative: CAD models are right to 30 %."""
-
-
-def verdict_of(stages: Sequence[Stage], better: bool, held_out: bool, consistent: bool) -> Verdict:
-    """Return the verdict on an identification.
-
-    Args:
-        better: whether the test error is below the nominal model's.
-        held_out: whether it was tested on held-out recordings.
-        consistent: whether the parameters are physically consistent.
-    """
-    states = {stage.state for stage in stages}
-    if not better or not consistent or not states & {"accepted", "reopened"}:
-        return "rejected"
-    return "accepted" if held_out and "rejected" not in states else "improved"
-
-
-def nominal_document(way: str) -> dict[str, Any]:
-    """Return the content of ``identification.json`` of the nominal model, before any stage.
-
-    Args:
-        way: what is identified from.
-    """
-    return {
-        "schema": 1,
-        "verdict": "rejected",
-        "way": way,
-        "stages": [],
-        "parameters": {},
-        "covariance": {"names": [], "matrix": []},
-        "correlated": [],
-        "base_parameters": [],
-        "held_out": {},
-        "tested_on": "no recordings",
-        "physical": {"consistent": True, "violations": []},
-        "suspected": [],
-        "without_effort": [],
-        "unobservable": [],
-        "fit": {},
-        "trials": {"fit": [], "held_out": []},
-        "notes": [],
-        "software": {"pytest-twin": __version__},
-    }
+_OF_PAYLOADS = "least squares of known payloads"
 
 
 def effort_document(
@@ -99,18 +56,15 @@ def effort_document(
         alone = np.count_nonzero(base.combination[i]) == 1
         column = base.columns[base.independent[i]]
         drive = alone and is_of_drive(column)
-        parameters[names[k]] = {
-            "value": float(values[k]),
-            "unit": base.units[i],
-            "ci95": [float(values[k] - half[k]), float(values[k] + half[k])],
-            "prior": None if drive and not prior[i] else float(prior[i]),
-            "stage": result.stage_of[i],
-            "used": result.stage_of[i] not in rejected,
-            "estimator": f"{estimate.estimator}, against the inertia of the model"
+        parameters[names[k]] = parameter_entry(
+            values[k], half[k], base.units[i],
+            prior=None if drive and not prior[i] else float(prior[i]),
+            stage=result.stage_of[i], used=result.stage_of[i] not in rejected,
+            estimator=f"{estimate.estimator}, against the inertia of the model"
             if of_model[k]
             else estimate.estimator,
-            "bootstrap_ci95": estimate.bootstrap.interval[k].tolist(),
-        }
+            bootstrap_ci95=estimate.bootstrap.interval[k].tolist(),
+        )  # fmt: skip
         if estimate.estimator != SQUARES:
             parameters[names[k]]["least_squares"] = float(estimate.squares.values[k])
     widths = half / Z95
@@ -136,61 +90,40 @@ def effort_document(
     ordered = in_order(stages)
     fatal = any(one.is_fatal for one in result.suspected)
     for joint, scale in result.scales.items():
-        parameters[f"{joint}.{EffortScale.id}"] = {
-            "value": scale.value,
-            "unit": "1",
-            "ci95": [scale.value - scale.half_width, scale.value + scale.half_width],
-            "prior": 1.0,
-            "stage": "drive",
-            "used": scale.is_significant and "drive" not in rejected,
-            "estimator": "least squares of known payloads",
-        }
+        parameters[f"{joint}.{EffortScale.id}"] = parameter_entry(
+            scale.value, scale.half_width, "1", prior=1.0, stage="drive",
+            used=scale.is_significant and "drive" not in rejected, estimator=_OF_PAYLOADS,
+        )  # fmt: skip
     for joint, gain in result.gains.items():
-        parameters[f"{joint}.{EffortScale.id}"] = {
-            "value": gain.value,
-            "unit": f"A/({_effort_unit(result, joint)})",
-            "ci95": [gain.value - gain.half_width, gain.value + gain.half_width],
-            "prior": None,
-            "stage": "drive",
-            "used": True,
-            "estimator": "least squares of known payloads",
-        }
+        parameters[f"{joint}.{EffortScale.id}"] = parameter_entry(
+            gain.value, gain.half_width, f"A/({_effort_unit(result, joint)})", prior=None,
+            stage="drive", used=True, estimator=_OF_PAYLOADS,
+        )  # fmt: skip
     for reading in result.encoders.readings:
         slide = result.regressor.slides[result.regressor.joints.index(reading.joint)]
         bias = "m" if slide else "rad"
-        name = f"{reading.joint}.{reading.kind}"
-        parameters[name] = {
-            "value": reading.value,
-            "unit": "1" if reading.kind == SCALE else bias,
-            "ci95": [reading.value - reading.half_width, reading.value + reading.half_width],
-            "prior": 0.0,
-            "stage": "encoder",
-            "used": any(
+        parameters[f"{reading.joint}.{reading.kind}"] = parameter_entry(
+            reading.value, reading.half_width, "1" if reading.kind == SCALE else bias,
+            prior=0.0, stage="encoder", estimator=SQUARES,
+            used=any(
                 (one.joint, one.kind) == (reading.joint, reading.kind)
                 for one in result.encoders.corrected
             ),
-            "estimator": SQUARES,
-        }
+        )  # fmt: skip
     if result.delay is not None:
         late = result.delay
-        parameters[late.name] = {
-            "value": late.value,
-            "unit": "s",
-            "ci95": [late.value - late.half_width, late.value + late.half_width],
-            "prior": 0.0,
-            "stage": "delay",
-            "used": True,
-            "estimator": SQUARES,
-        }
+        parameters[late.name] = parameter_entry(
+            late.value, late.half_width, "s", prior=0.0, stage="delay", used=True,
+            estimator=SQUARES,
+        )  # fmt: skip
     return {
-        "schema": 1,
+        **nominal_document("measured effort"),
         "verdict": verdict_of(
             ordered,
             better and not fatal,
             tested and of_robot and predicted,
             result.physical.is_consistent,
         ),
-        "way": "measured effort",
         "stages": [stage.to_json() for stage in ordered],
         "parameters": parameters,
         "estimator": estimate.to_json(),
@@ -232,7 +165,6 @@ def effort_document(
         },
         "condition": fitted.solution.condition,
         "notes": list(result.notes),
-        "software": {"pytest-twin": __version__},
     }
 
 
