@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import math
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,7 @@ from pytest_twin.audit import (
 )
 from pytest_twin.audit.asset import Asset
 from pytest_twin.audit.evidence import Evidence
-from pytest_twin.audit.finding import LAYERS, SEVERITIES, SIMREADY, Finding
+from pytest_twin.audit.finding import LAYERS, SIMREADY, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
 from pytest_twin.audit.self_collision import PoseResult
@@ -42,7 +41,6 @@ from pytest_twin.realization import urdf
 from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
-SCHEMA = 1
 """Version of the audit's JSON."""
 _MOST_PICTURES = 6
 """Largest number of poses that are drawn, the first ones."""
@@ -188,25 +186,13 @@ def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:
 
 def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[str, Any]:
     """Return the report as JSON data."""
-    rows = finding.to_json(findings)
-    counts = Counter(row["severity"] for row in rows)
     free = coupling.degrees_of_freedom(asset)
     layers = [*LAYERS, *installed_layers.names()]
-    if any(row["layer"] == SIMREADY for row in rows):
+    if any(one.layer == SIMREADY for one in findings):
         layers.append(SIMREADY)
+    common = finding.report_of(asset.path, asset.kind, asset.name, findings, layers)
     return {
-        "schema": SCHEMA,
-        "asset": str(asset.path),
-        "kind": asset.kind,
-        "robot": asset.name,
-        "verdict": finding.verdict(counts),
-        "counts": {severity: counts[severity] for severity in SEVERITIES},
-        "layers": {
-            layer: {
-                s: sum(r["layer"] == layer and r["severity"] == s for r in rows) for s in SEVERITIES
-            }
-            for layer in layers
-        },
+        **common,
         "facts": {
             "bodies": len(asset.bodies),
             "frames_without_mass": len(frames.frame_bodies(asset)),
@@ -225,8 +211,7 @@ def report(asset: Asset, geometry: Geometry, findings: list[Finding]) -> dict[st
             else [],
             **({} if asset.located is None else asset.located.to_json()),
         },
-        "findings": rows,
-        "sources": sources.findings_by_source(rows),
+        "sources": sources.findings_by_source(common["findings"]),
         "bodies": [
             {
                 "body": row.body,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -13,6 +14,7 @@ from typing import Any, Literal, get_args
 
 from pytest_twin.errors import TwinError
 
+SCHEMA = 1
 Severity = Literal["critical", "warning", "info", "unknown"]
 SEVERITIES: tuple[Severity, ...] = get_args(Severity)
 LAYERS: tuple[str, ...] = (
@@ -171,6 +173,36 @@ def by_id(findings: Iterable[Finding]) -> dict[str, Finding]:
         seen[name] = seen.get(name, 0) + 1
         identified[name if seen[name] == 1 else f"{name}#{seen[name]}"] = finding
     return identified
+
+
+def report_of(
+    path: Path, kind: str, robot: str, findings: Iterable[Finding], layers: Sequence[str]
+) -> dict[str, Any]:
+    """Return the report of an audit as JSON data, without facts and what a kind of file adds.
+
+    Args:
+        path: the audited file; ``kind``: its format; ``robot``: the robot's name in it.
+        layers: the audited layers.
+    """
+    rows = to_json(findings)
+
+    def counts(layer: str | None = None) -> dict[str, int]:
+        found = Counter(row["severity"] for row in rows if layer in (None, row["layer"]))
+        return {severity: found[severity] for severity in SEVERITIES}
+
+    return {
+        "schema": SCHEMA,
+        "asset": str(path),
+        "kind": kind,
+        "robot": robot,
+        "verdict": verdict(counts()),
+        "counts": counts(),
+        "layers": {layer: counts(layer) for layer in layers},
+        "findings": rows,
+        "sources": [],
+        "bodies": [],
+        "meshes": [],
+    }
 
 
 def to_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:

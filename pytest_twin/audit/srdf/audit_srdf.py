@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.audit import finding, self_collision
-from pytest_twin.audit.audit_file import SCHEMA
-from pytest_twin.audit.finding import PLANNING, SEVERITIES, Finding
+from pytest_twin.audit.finding import PLANNING, Finding
 from pytest_twin.audit.geometry import Geometry
 from pytest_twin.audit.read import read
 from pytest_twin.audit.srdf import collisions, elements, groups, states
@@ -69,16 +67,9 @@ def check(srdf: Srdf) -> list[Finding]:
 
 
 def _report(srdf: Srdf, findings: list[Finding]) -> dict[str, Any]:
-    rows = finding.to_json(findings)
-    counts = Counter(row["severity"] for row in rows)
+    name = srdf.root.attributes.get("name", "")
     return {
-        "schema": SCHEMA,
-        "asset": str(srdf.root.path),
-        "kind": "srdf",
-        "robot": srdf.root.attributes.get("name", ""),
-        "verdict": finding.verdict(counts),
-        "counts": {severity: counts[severity] for severity in SEVERITIES},
-        "layers": {PLANNING: {severity: counts[severity] for severity in SEVERITIES}},
+        **finding.report_of(srdf.root.path, "srdf", name, findings, [PLANNING]),
         "facts": {
             "urdf": str(srdf.asset.path),
             "groups": len(srdf.groups),
@@ -86,8 +77,4 @@ def _report(srdf: Srdf, findings: list[Finding]) -> dict[str, Any]:
             "end_effectors": len(srdf.root.all("end_effector")),
             "disabled_pairs": len(srdf.root.all("disable_collisions")),
         },
-        "findings": rows,
-        "sources": [],
-        "bodies": [],
-        "meshes": [],
     }
