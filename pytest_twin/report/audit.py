@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
-from pytest_twin.report.page import style_of, template
+from pytest_twin.report.page import Page
 from pytest_twin.report.text import number, printable
 from pytest_twin.words import counted
 
@@ -205,17 +202,14 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
         audit: content of the JSON file.
         renders: ``title``, ``caption`` and ``png`` (base64) of each picture.
     """
-    style = style_of("report.css", "audit.css")
     kinds = groups(audit["findings"])
     unknown = [kind for kind in kinds if kind.severity == "unknown"]
     sources = [
         (source, [kind for kind in unknown if kind.code in source["codes"]])
         for source in audit["sources"]
     ]
-    return _template().render(
+    return _PAGE.render(
         audit=audit,
-        style=style.text,
-        style_hash=style.sha256,
         layers=[(name, _TITLES.get(name) or _title(name)) for name in audit["layers"]],
         faults=[kind for kind in kinds if kind.severity in ("critical", "warning")],
         sources=sources,
@@ -233,6 +227,4 @@ def _title(layer: str) -> str:
     return layer.replace("_", " ").capitalize()
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("audit.html.j2", number=number, place=place, value=value)
+_PAGE = Page("audit.html.j2", "audit.css", number=number, place=place, value=value)

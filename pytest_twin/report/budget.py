@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
-import jinja2
-
 from pytest_twin.report.budget_plots import categories_figure, waterfall_figure
-from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.page import Page, svg_uri
 
 _STATES = {
     "measured": "measured",
@@ -25,7 +22,6 @@ def render(document: Mapping[str, Any]) -> str:
     Args:
         document: ``budget.json``.
     """
-    style = style_of("report.css", "diagnosis.css")
     unmeasured = [one for one in document["categories"] if one["state"] == "not_measured"]
     mood = {"exceeded": "bad", "within": "good"}.get(document["verdict"], "part")
     # A kind of error that nothing measures may be large elsewhere than on the held-out recordings.
@@ -41,10 +37,8 @@ def render(document: Mapping[str, Any]) -> str:
             "categories": svg_uri(categories_figure(document, quantity)),
             "waterfall": None if waterfall is None else svg_uri(waterfall),
         }
-    return _template().render(
+    return _PAGE.render(
         document=document,
-        style=style.text,
-        style_hash=style.sha256,
         mood=mood,
         headline=document["words"][0],
         more_words=document["words"][1:],
@@ -70,6 +64,4 @@ def _estimated(document: Mapping[str, Any]) -> str:
     return f"{words}: {', '.join(shares)} that the task allows" if shares else words
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("budget.html.j2")
+_PAGE = Page("budget.html.j2", "diagnosis.css")

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
-
-import jinja2
 
 from pytest_twin.calibration.boards.image_file import read_grey
 from pytest_twin.errors import TwinError
@@ -20,7 +17,7 @@ from pytest_twin.report.calibration_plots import (
     solvers_figure,
     speeds_figure,
 )
-from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.page import Page, svg_uri
 from pytest_twin.report.text import printable
 
 MOST_OVERLAYS = 6
@@ -40,13 +37,10 @@ def render(document: Mapping[str, Any], images: Path) -> str:
         document: ``calibration.json``.
         images: base folder of the images' relative paths.
     """
-    style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]
     seen = document.get("images", {})
-    return _template().render(
+    return _PAGE.render(
         document=document,
-        style=style.text,
-        style_hash=style.sha256,
         headline=headline,
         mood=mood,
         estimates=list(_estimates(document["records"])),
@@ -127,6 +121,4 @@ def _overlays(seen: Mapping[str, Any], images: Path) -> list[tuple[str, str]]:
     return found
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("calibration.html.j2")
+_PAGE = Page("calibration.html.j2", "diagnosis.css")

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
-
-import jinja2
 
 from pytest_twin.report.diagnosis import spans_in_words
 from pytest_twin.report.finding_words import (
@@ -17,7 +14,7 @@ from pytest_twin.report.finding_words import (
     place,
     to_confirm,
 )
-from pytest_twin.report.page import style_of, template
+from pytest_twin.report.page import Page
 from pytest_twin.report.text import number, quantity
 from pytest_twin.words import list_names
 
@@ -171,10 +168,7 @@ def alarm_sentence(document: Mapping[str, Any]) -> str:
 
 def render(document: Mapping[str, Any]) -> str:
     """Return the report as one HTML document without external files."""
-    style = style_of("report.css", "diagnosis.css")
-    return _template().render(
-        style=style.text,
-        style_hash=style.sha256,
+    return _PAGE.render(
         document=document,
         headline=headline(document),
         mood=_MOOD[document["verdict"]],
@@ -246,6 +240,4 @@ def _errors(error: Mapping[str, Any]) -> tuple[str, str, str]:
     return usual, before, after
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("changes.html.j2", percent=percent)
+_PAGE = Page("changes.html.j2", "diagnosis.css", percent=percent)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import jinja2
-
 from pytest_twin.report.figures import svg
-from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.page import Page, svg_uri
 from pytest_twin.report.plot_style import DIM, FAIL, NOW
 from pytest_twin.report.text import printable
 from pytest_twin.words import counted, list_names
@@ -68,12 +65,9 @@ def render(document: Mapping[str, Any]) -> str:
     Args:
         document: content of the JSON file.
     """
-    style = style_of("report.css", "audit.css")
-    return _template().render(
+    return _PAGE.render(
         document=document,
         headline=headline(document),
-        style=style.text,
-        style_hash=style.sha256,
         figure=svg_uri(_offsets(document["joints"])) if document["joints"] else None,
     )
 
@@ -96,6 +90,4 @@ def _offsets(joints: Mapping[str, Any]) -> bytes:
     return svg(draw, 9.0, 1.6 * rows)
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("dataset.html.j2", episodes=episodes)
+_PAGE = Page("dataset.html.j2", "audit.css", episodes=episodes)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 from typing import Any
-
-import jinja2
 
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import usable_cores
@@ -26,7 +23,7 @@ from pytest_twin.report.finding_words import (
 )
 from pytest_twin.report.frequency import figures_of, rows_of
 from pytest_twin.report.law_plot import law_figure
-from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.page import Page, svg_uri
 from pytest_twin.report.text import number, quantity
 
 MAX_FIGURES = 12
@@ -133,14 +130,11 @@ def _score_shown(score: float | None) -> str:
 
 def render(view: DiagnosisView) -> str:
     """Return the report as one HTML document without external files."""
-    style = style_of("report.css", "diagnosis.css")
     document = view.document
     drawn = view.joints[:MAX_FIGURES]
     figures = Forks(usable_cores()).map(joint_figure, drawn)
-    return _template().render(
+    return _PAGE.render(
         view=view,
-        style=style.text,
-        style_hash=style.sha256,
         headline=headline(document),
         mood=_MOOD[document["verdict"]],
         findings=[_view_of_finding(f, view) for f in document["findings"]],
@@ -204,14 +198,13 @@ def spans_in_words(windows: Sequence[Sequence[float]]) -> str:
     return f"{shown} s, and {more} shorter" if more else f"{shown} s"
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template(
-        "diagnosis.html.j2",
-        number=number,
-        quantity=quantity,
-        percent=percent,
-        spans=spans_in_words,
-        errors=errors_shown,
-        score=_score_shown,
-    )
+_PAGE = Page(
+    "diagnosis.html.j2",
+    "diagnosis.css",
+    number=number,
+    quantity=quantity,
+    percent=percent,
+    spans=spans_in_words,
+    errors=errors_shown,
+    score=_score_shown,
+)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
-import jinja2
-
 from pytest_twin.report.excitation_plots import deviations_figure, motion_figure
-from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.page import Page, svg_uri
 
 _VERDICT = {
     "identifiable": ("All requested parameters are identifiable", "good"),
@@ -41,7 +38,6 @@ def render(document: Mapping[str, Any], abort: Mapping[str, Any], drawn: Mapping
         abort: ``abort.json``.
         drawn: name of a motion -> its series, from :func:`excitation.document.courses`.
     """
-    style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]
     if "check" in document:
         headline = _CHECK_VERDICT[document["verdict"]]
@@ -49,11 +45,9 @@ def render(document: Mapping[str, Any], abort: Mapping[str, Any], drawn: Mapping
         (words, [one for one in document["trajectories"] if one["kind"] == kind])
         for kind, words in _KIND.items()
     ]
-    return _template().render(
+    return _PAGE.render(
         document=document,
         abort=abort,
-        style=style.text,
-        style_hash=style.sha256,
         headline=headline,
         mood=mood,
         margins=MARGINS,
@@ -78,6 +72,4 @@ def _deviations(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("excitation.html.j2")
+_PAGE = Page("excitation.html.j2", "diagnosis.css")

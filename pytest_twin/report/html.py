@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
-
-import jinja2
 
 from pytest_twin.outcome import Measure, Reason, tolerance_ratio
 from pytest_twin.report.failure import headline
 from pytest_twin.report.model import Entry, Report, Verdict
-from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.page import Page, svg_uri
 from pytest_twin.report.text import number, quantity, use
 
 MAX_PLOT_BYTES = 32 * 2**20
@@ -61,17 +58,14 @@ class _Row:
 
 def render(report: Report) -> str:
     """Return the report as one HTML document."""
-    style = style_of("report.css")
     rows = _rows(report.entries)
     ran = [row for row in rows if row.entry.release is None and not row.entry.not_run]
     not_run = [row for row in rows if row.entry.not_run]
     proven = [row for row in rows if row.entry.release is not None]
-    return _template().render(
+    return _PAGE.render(
         report=report,
         verdict=_WORDS[report.verdict],
         good=report.verdict in ("released", "holds", "passed"),
-        style=style.text,
-        style_hash=style.sha256,
         failed=[row for row in ran if row.state != "passed"],
         passed=[row for row in ran if row.state == "passed"],
         not_run=not_run,
@@ -165,13 +159,11 @@ def _bar_width(used: float, full: float = 100.0) -> str:
     return f"{full * min(max(share, 0.01), 1.0):.1f}"
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template(
-        "report.html.j2",
-        number=number,
-        quantity=quantity,
-        use=use,
-        used=tolerance_ratio,
-        bar=_bar_width,
-    )
+_PAGE = Page(
+    "report.html.j2",
+    number=number,
+    quantity=quantity,
+    use=use,
+    used=tolerance_ratio,
+    bar=_bar_width,
+)

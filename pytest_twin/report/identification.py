@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
-
-import jinja2
 
 from pytest_twin.effects.sensing import EncoderBias, EncoderScale
 from pytest_twin.report.frequency import figures_of, rows_of
-from pytest_twin.report.page import style_of, template
+from pytest_twin.report.page import Page
 
 _VERDICT = {
     "accepted": ("Accepted: every stage that the motion shows lowers the held-out error", "good"),
@@ -25,14 +22,11 @@ _VERDICT = {
 
 def render(document: Mapping[str, Any]) -> str:
     """Return ``identification.json`` as one HTML document without external files."""
-    style = style_of("report.css", "diagnosis.css")
     headline, mood = _VERDICT[document["verdict"]]
     if any(one.get("fatal") for one in document.get("suspected", ())):
         headline = "Rejected: a mistake of the input is suspected; correct it and identify again"
-    return _template().render(
+    return _PAGE.render(
         document=document,
-        style=style.text,
-        style_hash=style.sha256,
         headline=headline,
         mood=mood,
         errors=error_lines(document),
@@ -194,6 +188,4 @@ def _held_out(stage: Mapping[str, Any]) -> str:
     return f"{held['before']:.4g} to {held['after']:.4g} {held['unit']}"
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("identification.html.j2")
+_PAGE = Page("identification.html.j2", "diagnosis.css")

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
-import jinja2
-
-from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.page import Page, svg_uri
 from pytest_twin.report.ranges_plots import (
     against_figure,
     correlation_figure,
@@ -27,7 +24,6 @@ def render(document: Mapping[str, Any]) -> str:
     Args:
         document: ``ranges.json``.
     """
-    style = style_of("report.css", "diagnosis.css")
     recordings: dict[str, list[Mapping[str, Any]]] = {}
     for one in document["envelopes"]:
         recordings.setdefault(one["recording"], []).append(one)
@@ -38,10 +34,8 @@ def render(document: Mapping[str, Any]) -> str:
         [[document["correlation"][i][k] for k in single] for i in single],
     )
     against = document["against"]
-    return _template().render(
+    return _PAGE.render(
         document=document,
-        style=style.text,
-        style_hash=style.sha256,
         mood=_MOODS[document["verdict"]],
         headline=document["words"][0],
         envelopes={name: svg_uri(envelope_figure(panels)) for name, panels in shown.items()},
@@ -56,6 +50,4 @@ def render(document: Mapping[str, Any]) -> str:
     )
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("ranges.html.j2")
+_PAGE = Page("ranges.html.j2", "diagnosis.css")

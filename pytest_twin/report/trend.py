@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
-import jinja2
-
-from pytest_twin.report.page import style_of, svg_uri, template
+from pytest_twin.report.page import Page, svg_uri
 from pytest_twin.report.text import number, quantity
 from pytest_twin.report.trend_plots import joint_figure
 from pytest_twin.words import counted
@@ -90,14 +87,11 @@ def render(document: Mapping[str, Any], *, every: bool = True) -> str:
         document: content of ``trend.json``.
         every: whether all joints are drawn; else those with an alarm.
     """
-    style = style_of("report.css", "diagnosis.css")
     alarmed = {one["joint"] for one in document["changes"]}
     alarmed |= {document["parameters"][one["parameter"]]["joint"] for one in document["mixed"]}
     joints = [joint for joint in document["held_out"] if every or joint in alarmed]
-    return _template().render(
+    return _PAGE.render(
         document=document,
-        style=style.text,
-        style_hash=style.sha256,
         headline=headline(document),
         mood="good" if document["verdict"] == "no_alarm" else "bad",
         sessions=_sessions(document),
@@ -125,6 +119,4 @@ def _rows(document: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
     return rows
 
 
-@cache
-def _template() -> jinja2.Template:
-    return template("trend.html.j2")
+_PAGE = Page("trend.html.j2", "diagnosis.css")
