@@ -12,7 +12,12 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.effect_parameters import EffectParameter, with_values
 from pytest_twin.diagnosis.patched.model import read_patched_model
-from pytest_twin.diagnosis.patched.replay import patched_segment, predict_segments, replay_whole
+from pytest_twin.diagnosis.patched.replay import (
+    patched_segment,
+    predict_segments,
+    replay_whole,
+    with_columns,
+)
 from pytest_twin.errors import SimulationError
 from pytest_twin.open_loop import Replayed, row_of
 from pytest_twin.realization import Realization
@@ -115,9 +120,9 @@ class ChangedReplays:
         return [
             replace(
                 plain,
-                position=_with_columns(plain.position, columns, own.position),
-                velocity=_with_columns(plain.velocity, columns, own.velocity),
-                effort=_with_columns(plain.effort, columns, own.effort),
+                position=with_columns(plain.position, columns, own.position),
+                velocity=with_columns(plain.velocity, columns, own.velocity),
+                effort=with_columns(plain.effort, columns, own.effort),
             )
             for plain, own in zip(rest, predicted, strict=True)
         ]
@@ -141,10 +146,4 @@ def _change_model(model: mujoco.MjModel, change: Change) -> mujoco.MjModel:
     changed = copy.copy(model)
     for name, values in change.fields.items():
         getattr(changed, name)[:] = values
-    return changed
-
-
-def _with_columns(table: FloatArray, columns: Sequence[int], values: FloatArray) -> FloatArray:
-    changed = table.copy()
-    changed[:, columns] = values
     return changed

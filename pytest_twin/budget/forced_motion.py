@@ -21,7 +21,14 @@ from pytest_twin.budget.categories import category_of_parameter
 from pytest_twin.budget.changed_replays import Change, ChangedReplays
 from pytest_twin.budget.effect_parameters import EffectParameter
 from pytest_twin.budget.identification import IdentifiedParameters
-from pytest_twin.budget.propagate import Spread, angles, normal_draws, root_of, spread_of
+from pytest_twin.budget.propagate import (
+    Spread,
+    angles,
+    first_order,
+    normal_draws,
+    root_of,
+    spread_of,
+)
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, forward
 from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
@@ -103,7 +110,7 @@ class _Motion:
         for category in dict.fromkeys(categories.tolist()):
             own = np.flatnonzero(categories == category)
             part = root_of(self.found.covariance[np.ix_(own, own)], path)
-            alone[category] = _of_slopes(moving, on_chain[:, :, own] @ part)
+            alone[category] = first_order(moving, on_chain[:, :, own] @ part)
         draws = normal_draws(root, DRAWS)
         shift, turn = np.zeros((2, len(self.nominal.time)))
         for position in self._drawn(draws):
@@ -112,7 +119,7 @@ class _Motion:
             turn += angles(at.rotation, moving.rotation) ** 2
         drawn = spread_of(shift / len(draws), turn / len(draws))
         joints = dict(zip(self.joints, rms.tolist(), strict=True))
-        return SimulatedDisplacement(_of_slopes(moving, on_chain @ root), drawn, joints, alone)
+        return SimulatedDisplacement(first_order(moving, on_chain @ root), drawn, joints, alone)
 
     def _effort(self) -> FloatArray:
         """(n, j, p) derivative of the joints' effort along the nominal motion."""
@@ -214,10 +221,3 @@ class _Motion:
         width = sum(c >= 0 for c in columns)
         none = ChainParameters(width, np.zeros(len(chain.joints)), tuple(columns))
         return forward(chain, readings, none)
-
-
-def _of_slopes(moving: TransformWithJacobian, slopes: FloatArray) -> Spread:
-    """Return the displacement from (n, c, k) changes of the chain's joints by each root column."""
-    shift = np.sum((moving.shift @ slopes) ** 2, axis=(1, 2))
-    turn = np.sum((moving.turn @ slopes) ** 2, axis=(1, 2))
-    return spread_of(shift, turn)

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.closed_form import least_squares
 from pytest_twin.calibration.input_mistake import FAR_BETTER, InputMistake
 from pytest_twin.calibration.input_mistakes import has_large_errors, lengths_in_mm
 from pytest_twin.calibration.parameters import State
@@ -276,7 +277,7 @@ def _ordered(rows: _Rows, name: str, columns: slice, least_share: float) -> _Can
         for row, profile in _profiles(rows):
             change = profile[:, None] * rows.slopes[:, columns]
             unexplained = change - basis @ (basis.T @ change)
-            step = -_solved(unexplained, left)
+            step = -least_squares(unexplained, left)
             rest = left + unexplained @ step
             if best is None or rest @ rest < best[0]:
                 best = (float(rest @ rest), row, step, rest)
@@ -340,7 +341,7 @@ def _robust_criterion(rows: _Rows, change: FloatArray, used: np.ndarray) -> floa
         used: (m,) True for residuals to which unknowns and change are fitted.
     """
     slopes = np.concatenate([rows.slopes, change], axis=1)
-    rest = rows.residuals - slopes @ _solved(slopes[used], rows.residuals[used])
+    rest = rows.residuals - slopes @ least_squares(slopes[used], rows.residuals[used])
     total = float(change.shape[1] * np.log(len(rest)))
     for kind in set(rows.kind.tolist()) - {""}:
         of_kind = np.abs(rest[rows.kind == kind])
@@ -361,7 +362,7 @@ def _agreeing(rows: _Rows, quantities: list[tuple[str, slice]]) -> list[_Candida
     candidates = []
     for name, columns in quantities:
         slopes = theirs.slopes[:, columns]
-        step = -_solved(slopes, theirs.residuals)
+        step = -least_squares(slopes, theirs.residuals)
         rest = theirs.residuals + slopes @ step
         if float(rest @ rest) > (1.0 - _AGREEING) * total:
             continue
@@ -381,13 +382,8 @@ def _smooth_criterion(rows: _Rows, columns: slice, basis: FloatArray, left: Floa
     slopes = np.where((rows.row >= 0)[:, None], rows.slopes[:, columns], 0.0)
     drift = np.concatenate([slopes * (time**power)[:, None] for power in (1, 2, 3)], axis=1)
     drift -= basis @ (basis.T @ drift)
-    rest = left - drift @ _solved(drift, left)
+    rest = left - drift @ least_squares(drift, left)
     return _criterion(float(rest @ rest), len(rest), drift.shape[1])
-
-
-def _solved(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
-    """(k,) least-squares solution of ``slopes @ x = residuals``."""
-    return np.asarray(np.linalg.lstsq(slopes, residuals, rcond=1e-9)[0], dtype=np.float64)
 
 
 def _criterion(squares: float, count: int, unknowns: int) -> float:

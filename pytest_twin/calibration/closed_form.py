@@ -88,7 +88,7 @@ def positions(
     matrix[:, :, :3] = flange[:, :3, :3]
     matrix[:, :, 3:] = -np.eye(3)
     right = seen[:, :3, 3] @ world.T - flange[:, :3, 3]
-    found = _least_squares(matrix.reshape(-1, 6), right.reshape(-1))
+    found = least_squares(matrix.reshape(-1, 6), right.reshape(-1))
     return rigid(mounted, found[:3]), rigid(world, found[3:])
 
 
@@ -103,7 +103,7 @@ def scale_of_seen(flange: FloatArray, seen: FloatArray) -> tuple[float, FloatArr
     right = -flange[:, :3, 3]
     # The columns get unit length, so that the rank does not depend on the unit of the positions.
     size = np.linalg.norm(matrix.reshape(-1, 7), axis=0) + 1e-300
-    found = _least_squares(matrix.reshape(-1, 7) / size, right.reshape(-1)) / size
+    found = least_squares(matrix.reshape(-1, 7) / size, right.reshape(-1)) / size
     return float(found[6]), rigid(mounted, found[:3]), rigid(world, found[3:6])
 
 
@@ -125,7 +125,7 @@ def pivot(flange: FloatArray) -> tuple[FloatArray, FloatArray]:
     matrix[:, :, :3] = flange[:, :3, :3]
     matrix[:, :, 3:] = -np.eye(3)
     right = -flange[:, :3, 3].reshape(-1)
-    found = _least_squares(matrix.reshape(-1, 6), right)
+    found = least_squares(matrix.reshape(-1, 6), right)
     return found[:3], found[3:]
 
 
@@ -153,10 +153,10 @@ def markers(
         rows.append(matrix.reshape(-1, width))
         right.append(poses[:, :3, 3].reshape(-1))
     matrix, values = np.concatenate(rows), np.concatenate(right)
-    found = _least_squares(matrix, values)
+    found = least_squares(matrix, values)
     rotation = nearest_rotation(found[:9].reshape(3, 3))
     rest = values - matrix[:, :9] @ rotation.reshape(-1)
-    found = _least_squares(matrix[:, 9:], rest)
+    found = least_squares(matrix[:, 9:], rest)
     places = [found[3 + 3 * at : 6 + 3 * at] for at in range(len(seen))]
     return rigid(rotation, found[:3]), places
 
@@ -174,13 +174,13 @@ def scale_of_marker(flange: FloatArray, seen: FloatArray) -> tuple[float, float]
         matrix[:, axis, 9 + axis] = 1.0
     matrix[:, :, 12:] = -flange[:, :3, :3]
     values = flange[:, :3, 3].reshape(-1)
-    found = _least_squares(matrix.reshape(-1, 15), values)
+    found = least_squares(matrix.reshape(-1, 15), values)
     turn = found[:9].reshape(3, 3)
     factor = float(np.cbrt(max(np.linalg.det(turn), 0.0)))
     errors = (matrix.reshape(-1, 15) @ found - values).reshape(-1, 3)
     return factor / size, float(np.median(np.linalg.norm(errors, axis=1)))
 
 
-def _least_squares(matrix: FloatArray, values: FloatArray) -> FloatArray:
+def least_squares(matrix: FloatArray, values: FloatArray) -> FloatArray:
     """Least-squares solution of minimum norm."""
     return np.asarray(np.linalg.lstsq(matrix, values, rcond=1e-9)[0], dtype=np.float64)

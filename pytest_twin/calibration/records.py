@@ -237,6 +237,13 @@ def estimate_entry(value: float, unit: str, std: float, quantile: float) -> dict
     return {"value": value, "unit": unit, "std": std, "ci95": [value - width, value + width]}
 
 
+def about_child(pose: FloatArray) -> FloatArray:
+    """(6, 6) matrix from a change in the parent's axes to one with rotation in the child's axes."""
+    turn = np.eye(6)
+    turn[3:, 3:] = pose[:3, :3].T
+    return turn
+
+
 def inverse_with_covariance(
     pose: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

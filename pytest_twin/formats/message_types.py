@@ -5,6 +5,7 @@ Each type is decoded from CDR, from the ROS 1 serialization and from JSON with t
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -60,8 +61,22 @@ class JointState:
         return joint_state.decode_json(message, row)
 
 
+class _OneLayout(ABC):
+    """A type whose messages state names and values in one layout."""
+
+    def serialized(
+        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
+    ) -> Iterator[Decoded]:
+        """Decode many messages."""
+        return decode(data, starts, sizes, self._layout, encoding)
+
+    @abstractmethod
+    def _layout(self, cursor: Cursor) -> Layout:
+        """Return the byte positions of the fields of one message."""
+
+
 @dataclass(frozen=True)
-class ControllerState:
+class ControllerState(_OneLayout):
     """``control_msgs/msg/JointTrajectoryControllerState``: ``reference`` or ``feedback``.
 
     The setpoint is the first point and the measurement the second, both in the layout of ROS 2
@@ -72,12 +87,6 @@ class ControllerState:
     """
 
     role: str
-
-    def serialized(
-        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
-    ) -> Iterator[Decoded]:
-        """Decode many messages."""
-        return decode(data, starts, sizes, self._layout, encoding)
 
     def _layout(self, cursor: Cursor) -> Layout:
         stamp_at = cursor.header()
@@ -108,17 +117,10 @@ class ControllerState:
         return Batch(np.array([row]), tuple(names), np.array([stamp]), bad, values)
 
 
-class DynamicJointState:
+class DynamicJointState(_OneLayout):
     """``control_msgs/msg/DynamicJointState``: named interfaces of each joint."""
 
-    def serialized(
-        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
-    ) -> Iterator[Decoded]:
-        """Decode many messages."""
-        return decode(data, starts, sizes, self._layout, encoding)
-
-    @staticmethod
-    def _layout(cursor: Cursor) -> Layout:
+    def _layout(self, cursor: Cursor) -> Layout:
         stamp_at = cursor.header()
         names = cursor.names()
         if cursor.count("interface_values") != len(names):
@@ -157,7 +159,7 @@ class DynamicJointState:
         return Batch(np.array([row]), tuple(names), np.array([stamp]), bad, filled)
 
 
-class Float64MultiArray:
+class Float64MultiArray(_OneLayout):
     """``std_msgs/msg/Float64MultiArray``: setpoints of a forward command controller.
 
     The labels of ``layout.dim`` name the joints if there is one for each value; otherwise the
@@ -165,14 +167,7 @@ class Float64MultiArray:
     and effort all contain the values.
     """
 
-    def serialized(
-        self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
-    ) -> Iterator[Decoded]:
-        """Decode many messages."""
-        return decode(data, starts, sizes, self._layout, encoding)
-
-    @staticmethod
-    def _layout(cursor: Cursor) -> Layout:
+    def _layout(self, cursor: Cursor) -> Layout:
         dimensions = cursor.count("layout.dim")
         if dimensions > _DIMENSIONS:
             raise MessageError(f"{dimensions} dimensions")

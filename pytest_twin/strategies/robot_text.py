@@ -49,10 +49,10 @@ def mjcf(name: str, links: Sequence[DrawnLink], joints: Sequence[DrawnJoint]) ->
                 name=f"{joint.name}_mimic",
                 joint1=joint.name,
                 joint2=leader,
-                polycoef=_words([offset, multiplier, 0.0, 0.0, 0.0]),
+                polycoef=words_of([offset, multiplier, 0.0, 0.0, 0.0]),
             )
         elif joint.effort:
-            bound = _words([-joint.effort, joint.effort])
+            bound = words_of([-joint.effort, joint.effort])
             etree.SubElement(
                 actuator,
                 "motor",
@@ -97,7 +97,7 @@ def _urdf_link(root: _Element, link: DrawnLink) -> None:
         if shape.kind == "mesh":
             etree.SubElement(geometry, "mesh", filename=shape.file)
         elif shape.kind == "box":
-            etree.SubElement(geometry, "box", size=_words(shape.size))
+            etree.SubElement(geometry, "box", size=words_of(shape.size))
         elif shape.kind == "sphere":
             etree.SubElement(geometry, "sphere", radius=repr(shape.size[0]))
         else:
@@ -112,7 +112,7 @@ def _urdf_joint(root: _Element, joint: DrawnJoint) -> None:
     _origin(element, joint.position, joint.rpy)
     if joint.kind == "fixed":
         return
-    etree.SubElement(element, "axis", xyz=_words(joint.axis))
+    etree.SubElement(element, "axis", xyz=words_of(joint.axis))
     limit = etree.SubElement(element, "limit")
     if joint.limits is not None:
         limit.set("lower", repr(joint.limits[0]))
@@ -134,7 +134,7 @@ def _mjcf_body(
 ) -> _Element:
     body = etree.SubElement(above, "body", name=link.name)
     if joint is not None:
-        body.set("pos", _words(joint.position))
+        body.set("pos", words_of(joint.position))
         body.set("quat", _quaternion(joint.rpy))
     if joint is not None and joint.kind != "fixed":
         made = etree.SubElement(
@@ -142,32 +142,32 @@ def _mjcf_body(
             "joint",
             name=joint.name,
             type="slide" if joint.kind == "prismatic" else "hinge",
-            axis=_words(joint.axis),
+            axis=words_of(joint.axis),
             damping=repr(joint.damping),
             frictionloss=repr(joint.friction),
         )
         if joint.limits is not None:
-            made.set("range", _words(joint.limits))
+            made.set("range", words_of(joint.limits))
         if joint.effort and joint.mimic is None:
-            made.set("actuatorfrcrange", _words([-joint.effort, joint.effort]))
+            made.set("actuatorfrcrange", words_of([-joint.effort, joint.effort]))
     if link.mass > 0:
         etree.SubElement(
             body,
             "inertial",
-            pos=_words(link.com),
+            pos=words_of(link.com),
             quat=_quaternion(link.rpy),
             mass=repr(link.mass),
-            diaginertia=_words(link.moments),
+            diaginertia=words_of(link.moments),
         )
     for shape in link.shapes:
         geom = etree.SubElement(body, "geom", type=shape.kind)
-        geom.set("pos", _words(shape.position))
+        geom.set("pos", words_of(shape.position))
         geom.set("quat", _quaternion(shape.rpy))
         if shape.kind == "mesh":
             etree.SubElement(asset, "mesh", name=link.name, file=shape.file)
             geom.set("mesh", link.name)
         else:
-            geom.set("size", _words(_half_size(shape)))
+            geom.set("size", words_of(_half_size(shape)))
     return body
 
 
@@ -178,14 +178,15 @@ def _half_size(shape: DrawnShape) -> list[float]:
 
 
 def _origin(element: _Element, position: Triple, rpy: Triple) -> None:
-    etree.SubElement(element, "origin", xyz=_words(position), rpy=_words(rpy))
+    etree.SubElement(element, "origin", xyz=words_of(position), rpy=words_of(rpy))
 
 
 def _quaternion(rpy: Triple) -> str:
-    return _words(quaternion_of(rotation(np.array(rpy))))
+    return words_of(quaternion_of(rotation(np.array(rpy))))
 
 
-def _words(values: Iterable[float]) -> str:
+def words_of(values: Iterable[float]) -> str:
+    """Return numbers with full precision, as an attribute of XML."""
     return " ".join(repr(float(value)) for value in values)
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.cameras.arm import arm_of
 from pytest_twin.calibration.cameras.bundle import KnownNoise, Robot, bundle
 from pytest_twin.calibration.cameras.camera_calibration import Camera
@@ -16,7 +15,7 @@ from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.intrinsics import NAMES, Intrinsics
 from pytest_twin.calibration.cameras.normal_equations import Unknowns
 from pytest_twin.calibration.problem import predicted_poses
-from pytest_twin.calibration.records import CalibrationEstimate, estimate_entry
+from pytest_twin.calibration.records import CalibrationEstimate, about_child, estimate_entry
 from pytest_twin.calibration.terms import PoseTerm
 from pytest_twin.calibration.wrong_scale import FreeScale
 
@@ -99,7 +98,7 @@ def refine_on_corners(found: CalibrationEstimate, images: Images, camera: Camera
     # Zeros, links and scale come after the poses in both orders.
     order = np.r_[places[names[0]], places[names[1]], 12 : 12 + own]
     for at, name in enumerate(names):
-        turn[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] = _own_axes(state.poses[name])
+        turn[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] = about_child(state.poses[name])
     if tolerance > 0.0:
         turn[-1, -1] = -(state.scale**2)
     both = solved.covariance[: 12 + own, : 12 + own]
@@ -141,10 +140,3 @@ def intrinsics_record(camera: Camera, quantile: float = 1.96) -> dict[str, Any]:
         "pixel_noise": {"value": camera.pixel_noise, "unit": "px"},
         "board_deviation": {"value": camera.board_noise, "unit": "m"},
     }
-
-
-def _own_axes(pose: FloatArray) -> FloatArray:
-    """(6, 6) matrix from a change in the parent's axes to one with rotation in the child's axes."""
-    found = np.eye(6)
-    found[3:, 3:] = pose[:3, :3].T
-    return found

@@ -34,6 +34,7 @@ from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import INVERTED_RECORDS, describe_pose, records_of
 from pytest_twin.calibration.records import (
     TARGET_SCALE,
+    about_child,
     estimate_entry,
     inverse_with_covariance,
     pose_entry,
@@ -340,18 +341,11 @@ def _joint_covariance(plan: Plan, fit: ClockFit) -> dict[str, Any]:
     of_poses = [at for place, _ in around.values() for at in range(place.start, place.stop)]
     of_records = [0, *of_poses, *([SCALE] if plan.target_tolerance > 0.0 else [])]
     turn = np.eye(len(of_records))
-    turn[1:7, 1:7], turn[7:13, 7:13] = (_about_child(pose) for _, pose in around.values())
+    turn[1:7, 1:7], turn[7:13, 7:13] = (about_child(pose) for _, pose in around.values())
     names = [f"pose:camera.{role}.{label}" for role in around for label in POSE_LABELS]
     names += ["scale.camera"] * (len(of_records) - 13)
     matrix = turn @ fit.covariance[np.ix_(of_records, of_records)] @ turn.T
     return {"of": ["time_offset", *names], "matrix": matrix.tolist()}
-
-
-def _about_child(pose: FloatArray) -> FloatArray:
-    """(6, 6) matrix from a change in the parent's axes to one with rotation in the child's axes."""
-    turn = np.eye(6)
-    turn[3:, 3:] = pose[:3, :3].T
-    return turn
 
 
 def _pose(
@@ -364,7 +358,7 @@ def _pose(
     asked: bool,
 ) -> dict[str, Any]:
     parent, child = frames
-    turn = _about_child(pose)
+    turn = about_child(pose)
     covariance = turn @ fit.covariance[place, place] @ turn.T
     if name in INVERTED_RECORDS:
         pose, covariance = inverse_with_covariance(pose, covariance)

@@ -167,10 +167,10 @@ def replay_whole(
     configuration = [realization.joint_qpos_index(joint) for joint in patched.joints]
     return replace(
         plain,
-        position=_with_columns(plain.position, columns, predicted.position),
-        velocity=_with_columns(plain.velocity, columns, predicted.velocity),
-        effort=_with_columns(plain.effort, columns, predicted.effort),
-        qpos=_with_columns(plain.qpos, configuration, encoders.model_position(predicted.position)),
+        position=with_columns(plain.position, columns, predicted.position),
+        velocity=with_columns(plain.velocity, columns, predicted.velocity),
+        effort=with_columns(plain.effort, columns, predicted.effort),
+        qpos=with_columns(plain.qpos, configuration, encoders.model_position(predicted.position)),
         error=None,
         notes=(
             *plain.notes,
@@ -180,7 +180,8 @@ def replay_whole(
     )
 
 
-def _with_columns(table: FloatArray, columns: list[int], values: FloatArray) -> FloatArray:
+def with_columns(table: FloatArray, columns: Sequence[int], values: FloatArray) -> FloatArray:
+    """Return a copy of the table with other values in these columns."""
     changed = table.copy()
     changed[:, columns] = values
     return changed

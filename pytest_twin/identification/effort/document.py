@@ -14,7 +14,7 @@ from pytest_twin.identification.document import nominal_document, parameter_entr
 from pytest_twin.identification.effort.encoders import SCALE, undetermined_entries
 from pytest_twin.identification.effort.estimate import SQUARES
 from pytest_twin.identification.effort.groups import is_of_drive, stage_of
-from pytest_twin.identification.effort.identify_effort import EffortResult
+from pytest_twin.identification.effort.identify_effort import EffortResult, mean_relative
 from pytest_twin.identification.effort.impossible_drives import impossible_drives
 from pytest_twin.identification.effort.stage_comparison import EffortError, parameter_name
 from pytest_twin.identification.motions import undetermined_by_effort
@@ -85,7 +85,7 @@ def effort_document(
         }
         for joint, error in written.items()
     }
-    better = _mean(written) < _mean(result.nominal)
+    better = mean_relative(written) < mean_relative(result.nominal)
     predicted = not any("rejected" in error for error in errors.values())
     ordered = in_order(stages)
     fatal = any(one.is_fatal for one in result.suspected)
@@ -211,10 +211,6 @@ def _rejection(error: EffortError, least_squares: EffortError) -> dict[str, str]
         "the model cannot have these parameters, or a stage is rejected"
     )
     return {"rejected": why}
-
-
-def _mean(errors: Mapping[str, EffortError]) -> float:
-    return float(np.mean([error.relative for error in errors.values()]))
 
 
 def _unobservable(result: EffortResult) -> list[dict[str, str]]:

@@ -211,7 +211,7 @@ def _scale_stage(
             "drive", "accepted", why,
             tuple(f"{joint}.{EffortScale.id}" for joint in joints), None, EXCLUDES["drive"],
         ),
-        HeldOut(_mean_relative(before.errors), _mean_relative(after.errors), "relative effort"),
+        HeldOut(mean_relative(before.errors), mean_relative(after.errors), "relative effort"),
     )  # fmt: skip
 
 
@@ -282,7 +282,7 @@ def _with_delay(
             )
     stage = judge_stage(
         Stage("delay", "accepted", said, (late.name,), None, EXCLUDES["delay"]),
-        HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
+        HeldOut(mean_relative(found.errors), mean_relative(again.errors), "relative effort"),
     )
     if stage.state != "accepted":
         return measured, found, stage
@@ -355,7 +355,7 @@ def _with_encoders(
             "encoder", "accepted", describe_errors(readings, slides),
             tuple(f"{one.joint}.{one.kind}" for one in readings), None, excludes,
         ),
-        HeldOut(_mean_relative(found.errors), _mean_relative(again.errors), "relative effort"),
+        HeldOut(mean_relative(found.errors), mean_relative(again.errors), "relative effort"),
     )  # fmt: skip
     told = replace(
         left,
@@ -524,7 +524,8 @@ def _stages_after_scaling(
     )
 
 
-def _mean_relative(errors: dict[str, EffortError]) -> float:
+def mean_relative(errors: Mapping[str, EffortError]) -> float:
+    """Mean over the joints of the relative error of the effort."""
     return float(np.mean([error.relative for error in errors.values()]))
 
 
