@@ -26,6 +26,7 @@ from pytest_twin.formats.declared_inputs import expansion_of
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.expansions import model_stem
 from pytest_twin.formats.paths import read_bytes
+from pytest_twin.formats.xml import digits
 from pytest_twin.realization import gltf, inertia, mesh, urdf, urdf_orientation
 from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.urdf import UrdfFiles
@@ -529,8 +530,3 @@ def _number(word: str) -> float:
         return float(word)
     except ValueError:
         return float("nan")
-
-
-def digits(values: Any) -> str:
-    """Format numbers with the fewest digits that parse to the same values."""
-    return " ".join(repr(float(value) + 0.0).removesuffix(".0") for value in values)

@@ -16,6 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.joint_changes import joint_changes
 from pytest_twin.formats import xml
+from pytest_twin.formats.xml import digits
 from pytest_twin.metrics.pose import quaternion_of, rotation_of
 from pytest_twin.realization.loading import load
 
@@ -72,7 +73,7 @@ def write_calibrated_mjcf(robot: Path, records: Mapping[str, Any], folder: Path)
             else rigid(Rotation.from_rotvec(back).as_matrix(), np.zeros(3))
         )
         moved = body @ anchor @ change @ inverse(anchor) @ inverse(body)
-        frame = etree.Element("frame", pos=_words(moved[:3, 3]), quat=_turn(moved))
+        frame = etree.Element("frame", pos=digits(moved[:3, 3]), quat=_turn(moved))
         parent.replace(element, frame)
         frame.append(element)
     for name in ("hand_eye", "tcp"):
@@ -92,8 +93,8 @@ def _add_site(root: Any, bodies: Mapping[str, Any], record: Mapping[str, Any]) -
         return
     transform = record["transform"]
     etree.SubElement(
-        body, "site", name=record["child"], pos=_words(transform["xyz"]),
-        quat=_words(transform["quaternion_wxyz"]),
+        body, "site", name=record["child"], pos=digits(transform["xyz"]),
+        quat=digits(transform["quaternion_wxyz"]),
     )  # fmt: skip
 
 
@@ -119,9 +120,5 @@ def _relocate(root: Any, before: Path, after: Path) -> None:
                 element.set(name, moved(element.get(name)))
 
 
-def _words(values: Any) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
 def _turn(pose: FloatArray) -> str:
-    return _words(quaternion_of(pose[:3, :3]))
+    return digits(quaternion_of(pose[:3, :3]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
@@ -277,3 +278,11 @@ def _too_deep(line: int | None, path: Path) -> NoReturn:
 
 def _too_many(what: str, bound: int, path: Path) -> NoReturn:
     raise LimitError(f"too many {what}", path=path, expected=f"at most {bound}")
+
+
+def digits(values: Iterable[float]) -> str:
+    """Return numbers as an attribute: the shortest decimal text that gives the same numbers.
+
+    A zero has no sign.
+    """
+    return " ".join(repr(float(value) + 0.0).removesuffix(".0") for value in values)

@@ -13,9 +13,9 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
+from pytest_twin.formats.xml import digits
 from pytest_twin.metrics.pose import rotation_of
 from pytest_twin.realization.tree import RigidTree, TreeBody, TreeJoint, inverse
-from pytest_twin.strategies.robot_text import words_of
 
 Vector = NDArray[np.float64]
 
@@ -140,7 +140,7 @@ def urdf_text(tree: RigidTree, name: str = "robot") -> str:
         link = etree.SubElement(root, "link", name=body.name)
         if body.mass > 0 or np.any(body.inertia):
             inertial = etree.SubElement(link, "inertial")
-            etree.SubElement(inertial, "origin", xyz=words_of(body.com), rpy="0 0 0")
+            etree.SubElement(inertial, "origin", xyz=digits(body.com), rpy="0 0 0")
             etree.SubElement(inertial, "mass", value=repr(body.mass))
             i = body.inertia
             made = etree.SubElement(inertial, "inertia")
@@ -160,7 +160,7 @@ def urdf_text(tree: RigidTree, name: str = "robot") -> str:
         start = body.placement @ body.joint.anchor
         kind = "prismatic" if body.joint.kind == "slide" else "continuous"
         made = _add_joint(root, body.joint.name, kind, body.parent, between, start)
-        etree.SubElement(made, "axis", xyz=words_of(body.joint.axis))
+        etree.SubElement(made, "axis", xyz=digits(body.joint.axis))
         if kind == "prismatic":
             etree.SubElement(made, "limit", lower="-1e9", upper="1e9", effort="0", velocity="0")
         back = inverse(body.joint.anchor)
@@ -170,8 +170,8 @@ def urdf_text(tree: RigidTree, name: str = "robot") -> str:
 
 def _add_joint(root: Any, name: str, kind: str, parent: str, child: str, pose: Vector) -> Any:
     made = etree.SubElement(root, "joint", name=name, type=kind)
-    origin = words_of(pose[:3, 3])
-    etree.SubElement(made, "origin", xyz=origin, rpy=words_of(_rpy(pose[:3, :3])))
+    origin = digits(pose[:3, 3])
+    etree.SubElement(made, "origin", xyz=origin, rpy=digits(_rpy(pose[:3, :3])))
     etree.SubElement(made, "parent", link=parent)
     etree.SubElement(made, "child", link=child)
     return made

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 from lxml import etree
 
 from pytest_twin.errors import ModelError
 from pytest_twin.formats import atomic
+from pytest_twin.formats.xml import digits
 from pytest_twin.realization import mjcf
 
 _Element = Any
@@ -150,8 +150,3 @@ def _set_numbers(element: _Element, **values: Iterable[float]) -> None:
                 element.set(name, digits(numbers))
         elif name in element.attrib:
             element.set(name, digits(numbers))
-
-
-def digits(values: Iterable[float]) -> str:
-    """The shortest decimal text that gives the same numbers."""
-    return " ".join(repr(float(value)).removesuffix(".0") for value in np.asarray(values))

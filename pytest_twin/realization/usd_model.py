@@ -14,9 +14,9 @@ import numpy as np
 from lxml import etree
 
 from pytest_twin.errors import ModelError
+from pytest_twin.formats.xml import digits
 from pytest_twin.metrics.pose import pose_vector
 from pytest_twin.realization.inertia import six_components
-from pytest_twin.realization.mjcf_file import digits
 from pytest_twin.realization.tree import TreeBody, TreeJoint
 from pytest_twin.realization.usd_read import UsdJoint, UsdRobot, read
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from lxml import etree
 
+from pytest_twin.formats.xml import digits
 from pytest_twin.metrics.pose import quaternion_of
 from pytest_twin.realization.urdf import rotation
 from pytest_twin.strategies.robot_elements import DrawnJoint, DrawnLink, DrawnShape, Triple
@@ -49,10 +50,10 @@ def mjcf(name: str, links: Sequence[DrawnLink], joints: Sequence[DrawnJoint]) ->
                 name=f"{joint.name}_mimic",
                 joint1=joint.name,
                 joint2=leader,
-                polycoef=words_of([offset, multiplier, 0.0, 0.0, 0.0]),
+                polycoef=digits([offset, multiplier, 0.0, 0.0, 0.0]),
             )
         elif joint.effort:
-            bound = words_of([-joint.effort, joint.effort])
+            bound = digits([-joint.effort, joint.effort])
             etree.SubElement(
                 actuator,
                 "motor",
@@ -97,7 +98,7 @@ def _urdf_link(root: _Element, link: DrawnLink) -> None:
         if shape.kind == "mesh":
             etree.SubElement(geometry, "mesh", filename=shape.file)
         elif shape.kind == "box":
-            etree.SubElement(geometry, "box", size=words_of(shape.size))
+            etree.SubElement(geometry, "box", size=digits(shape.size))
         elif shape.kind == "sphere":
             etree.SubElement(geometry, "sphere", radius=repr(shape.size[0]))
         else:
@@ -112,7 +113,7 @@ def _urdf_joint(root: _Element, joint: DrawnJoint) -> None:
     _origin(element, joint.position, joint.rpy)
     if joint.kind == "fixed":
         return
-    etree.SubElement(element, "axis", xyz=words_of(joint.axis))
+    etree.SubElement(element, "axis", xyz=digits(joint.axis))
     limit = etree.SubElement(element, "limit")
     if joint.limits is not None:
         limit.set("lower", repr(joint.limits[0]))
@@ -134,7 +135,7 @@ def _mjcf_body(
 ) -> _Element:
     body = etree.SubElement(above, "body", name=link.name)
     if joint is not None:
-        body.set("pos", words_of(joint.position))
+        body.set("pos", digits(joint.position))
         body.set("quat", _quaternion(joint.rpy))
     if joint is not None and joint.kind != "fixed":
         made = etree.SubElement(
@@ -142,32 +143,32 @@ def _mjcf_body(
             "joint",
             name=joint.name,
             type="slide" if joint.kind == "prismatic" else "hinge",
-            axis=words_of(joint.axis),
+            axis=digits(joint.axis),
             damping=repr(joint.damping),
             frictionloss=repr(joint.friction),
         )
         if joint.limits is not None:
-            made.set("range", words_of(joint.limits))
+            made.set("range", digits(joint.limits))
         if joint.effort and joint.mimic is None:
-            made.set("actuatorfrcrange", words_of([-joint.effort, joint.effort]))
+            made.set("actuatorfrcrange", digits([-joint.effort, joint.effort]))
     if link.mass > 0:
         etree.SubElement(
             body,
             "inertial",
-            pos=words_of(link.com),
+            pos=digits(link.com),
             quat=_quaternion(link.rpy),
             mass=repr(link.mass),
-            diaginertia=words_of(link.moments),
+            diaginertia=digits(link.moments),
         )
     for shape in link.shapes:
         geom = etree.SubElement(body, "geom", type=shape.kind)
-        geom.set("pos", words_of(shape.position))
+        geom.set("pos", digits(shape.position))
         geom.set("quat", _quaternion(shape.rpy))
         if shape.kind == "mesh":
             etree.SubElement(asset, "mesh", name=link.name, file=shape.file)
             geom.set("mesh", link.name)
         else:
-            geom.set("size", words_of(_half_size(shape)))
+            geom.set("size", digits(_half_size(shape)))
     return body
 
 
@@ -178,16 +179,11 @@ def _half_size(shape: DrawnShape) -> list[float]:
 
 
 def _origin(element: _Element, position: Triple, rpy: Triple) -> None:
-    etree.SubElement(element, "origin", xyz=words_of(position), rpy=words_of(rpy))
+    etree.SubElement(element, "origin", xyz=digits(position), rpy=digits(rpy))
 
 
 def _quaternion(rpy: Triple) -> str:
-    return words_of(quaternion_of(rotation(np.array(rpy))))
-
-
-def words_of(values: Iterable[float]) -> str:
-    """Return numbers with full precision, as an attribute of XML."""
-    return " ".join(repr(float(value)) for value in values)
+    return digits(quaternion_of(rotation(np.array(rpy))))
 
 
 def _text(root: _Element) -> str:
