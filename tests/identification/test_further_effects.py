@@ -138,7 +138,9 @@ def test_the_drive_stage_adds_nothing_where_the_drive_is_as_in_the_model(tmp_pat
 @pytest.mark.parametrize(
     ("drive", "effect", "parameter", "value"),
     [
-        (partial(limited, 0.6), "torque_saturation", "limit", 0.6),
+        pytest.param(
+            partial(limited, 0.6), "torque_saturation", "limit", 0.6, marks=pytest.mark.nightly
+        ),
         (partial(limited, 1.0), "torque_saturation", "limit", 1.0),
         (partial(with_dead_zone, 0.15), "dead_zone", "width", 0.15 / NOMINAL["kp"]),
         (partial(limited_by_speed, 1.5, 3.0), "torque_speed_limit", "no_load_speed", 3.0),
