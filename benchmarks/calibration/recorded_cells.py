@@ -26,8 +26,7 @@ import numpy as np
 import yaml
 
 from pytest_twin import cli
-from pytest_twin.calibration.closed_form import rigid
-from pytest_twin.metrics.pose import rotation_of
+from pytest_twin.metrics.pose import rigid, rotation_of
 
 MAKERS_INTRINSICS = {"fx": 1352.03, "fy": 1356.14, "cx": 789.67, "cy": 627.30}
 BOARD = {

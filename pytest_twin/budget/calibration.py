@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from pytest_twin.arrays import FloatArray
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import ChainParameters, LinkParameter, forward
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.transform_derivatives import TransformWithJacobian, left_jacobian
+from pytest_twin.metrics.pose import inverse
 from pytest_twin.twin import CalibrationEntry
 
 Estimate = tuple[float | None, str]

@@ -17,12 +17,11 @@ from pytest_twin.budget.calibration import (
 from pytest_twin.budget.categories import category_of_record
 from pytest_twin.budget.task import Task
 from pytest_twin.calibration.chain import LinkParameter
-from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.parameters import POSE_LABELS
 from pytest_twin.calibration.records import inverse_with_covariance
 from pytest_twin.errors import TwinError
 from pytest_twin.formats.calibration_record import CalibrationRecord
-from pytest_twin.metrics.pose import rotation_of
+from pytest_twin.metrics.pose import inverse, rigid, rotation_of
 from pytest_twin.realization.serial_chain import load_serial_chain
 from pytest_twin.twin import CalibrationEntry
 

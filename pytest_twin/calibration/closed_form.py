@@ -6,26 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.metrics.pose import rigid
 
 _MOST_PAIRS = 2000
 """Largest number of relative motions. More cost time, and a start needs no more accuracy."""
-
-
-def rigid(rotation: FloatArray, position: FloatArray) -> FloatArray:
-    """(4, 4) transform of a rotation (3, 3) and a position (3,)."""
-    transform = np.eye(4)
-    transform[:3, :3], transform[:3, 3] = rotation, position
-    return transform
-
-
-def inverse(transforms: FloatArray) -> FloatArray:
-    """(..., 4, 4) inverses of rigid transforms."""
-    back = np.zeros_like(transforms)
-    turn = np.swapaxes(transforms[..., :3, :3], -1, -2)
-    back[..., :3, :3] = turn
-    back[..., :3, 3] = -np.einsum("...ij,...j->...i", turn, transforms[..., :3, 3])
-    back[..., 3, 3] = 1.0
-    return back
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:

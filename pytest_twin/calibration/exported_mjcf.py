@@ -13,11 +13,10 @@ from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.joint_changes import joint_changes
 from pytest_twin.formats import xml
 from pytest_twin.formats.xml import digits
-from pytest_twin.metrics.pose import quaternion_of, rotation_of
+from pytest_twin.metrics.pose import inverse, quaternion_of, rigid, rotation_of
 from pytest_twin.realization.loading import load
 
 _FOLDERS = ("meshdir", "texturedir", "assetdir")

@@ -14,11 +14,10 @@ from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.exported_mjcf import write_calibrated_mjcf
 from pytest_twin.calibration.joint_changes import joint_changes
 from pytest_twin.calibration.plan import Plan, load_plan
-from pytest_twin.metrics.pose import rotation_of
+from pytest_twin.metrics.pose import rigid, rotation_of
 from pytest_twin.realization import urdf_orientation
 
 STATIC_TRANSFORMS = "static_transforms.sh"

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.closed_form import rigid
+from pytest_twin.metrics.pose import rigid
 
 
 def joint_changes(

@@ -14,7 +14,7 @@ from pytest_twin.errors import PathError, SpecError
 from pytest_twin.formats import yaml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.formats.schema import load_schema, validate
-from pytest_twin.metrics.pose import rotation_of
+from pytest_twin.metrics.pose import rigid, rotation_of
 
 Mount = Literal["hand", "world"]
 
@@ -249,8 +249,6 @@ def _read_given_poses(plan: Plan, data: Mapping[str, Any]) -> dict[str, FloatArr
                 value=f"length {length:.4g}",
                 expected="w x y z, of length 1",
             )
-        transform = np.eye(4)
-        transform[:3, :3] = rotation_of(quaternion)
-        transform[:3, 3] = pose["xyz"]
+        transform = rigid(rotation_of(quaternion), pose["xyz"])
         found[name] = transform
     return found

@@ -14,13 +14,13 @@ from pytest_twin.calibration.chain import (
     forward,
     link_parameters,
 )
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import Layout, State, Variables
 from pytest_twin.calibration.plan import Mount, Plan
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm, Term
 from pytest_twin.calibration.transform_derivatives import TransformWithJacobian
 from pytest_twin.errors import FormatError
+from pytest_twin.metrics.pose import inverse, rigid
 from pytest_twin.realization.serial_chain import SerialChain
 
 MOUNTED, WORLD = "mounted", "world"
@@ -126,9 +126,7 @@ def reported_flange(chain: SerialChain | None, observations: Observations) -> Fl
     readings = np.stack([observations.joints[name] for name in chain.joints], axis=1)
     held = ChainParameters(0, np.zeros(len(chain.joints)), (-1,) * len(chain.joints))
     moving = forward(chain, readings, held)
-    poses = np.tile(np.eye(4), (len(readings), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = moving.rotation, moving.position
-    return poses
+    return rigid(moving.rotation, moving.position)
 
 
 def make_problem(
@@ -380,7 +378,4 @@ def predicted_poses(problem: CalibrationProblem, state: State) -> FloatArray:
     """(rows, 4, 4) predicted ``transform_base_to_flange`` at a state, m."""
     nothing = np.zeros(problem.layout.count)
     flange = problem.flange(Variables(problem.layout, state, nothing))
-    poses = np.tile(np.eye(4), (len(flange.position), 1, 1))
-    poses[:, :3, :3] = flange.rotation
-    poses[:, :3, 3] = flange.position
-    return poses
+    return rigid(flange.rotation, flange.position)

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan
@@ -23,7 +22,7 @@ from pytest_twin.calibration.problem import (
 from pytest_twin.calibration.records import NOT_ASKED
 from pytest_twin.errors import SpecError
 from pytest_twin.formats.calibration_record import CalibrationRecord, Transform
-from pytest_twin.metrics.pose import rotation_of
+from pytest_twin.metrics.pose import inverse, rigid, rotation_of
 
 
 def recorded_state(problem: CalibrationProblem, record: CalibrationRecord) -> State:

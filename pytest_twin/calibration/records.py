@@ -10,7 +10,6 @@ import numpy as np
 from scipy.stats import t as student
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.jackknife import jackknife
 from pytest_twin.calibration.observability import Direction, affected_unknowns
 from pytest_twin.calibration.parameters import POSE_LABELS, State
@@ -26,7 +25,7 @@ from pytest_twin.calibration.problem import (
 from pytest_twin.calibration.solve import Fit, prior_rows
 from pytest_twin.calibration.transform_derivatives import skew
 from pytest_twin.estimation.covariance import block_jackknife
-from pytest_twin.metrics.pose import quaternion_of
+from pytest_twin.metrics.pose import inverse, quaternion_of
 
 NOT_ASKED = {
     ("camera", "hand", "mounted"): "camera",

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.problem import CalibrationProblem, describe_pose, predicted_poses
 from pytest_twin.calibration.residual_errors import Errors
+from pytest_twin.metrics.pose import rigid
 
 MOST_ARROWS = 400
 """Largest number of errors in the figure."""

@@ -19,6 +19,7 @@ from pytest_twin.calibration.transform_derivatives import (
     TransformWithJacobian,
     inverse_left_jacobian,
 )
+from pytest_twin.metrics.pose import rigid
 
 
 class Term(Protocol):
@@ -95,9 +96,7 @@ class PoseTerm:
     def predicted(self, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
         """(m, 4, 4) ``camera_from_target``, m."""
         moving = self._moving(flange, variables)
-        poses = np.tile(np.eye(4), (len(self.rows), 1, 1))
-        poses[:, :3, :3], poses[:, :3, 3] = moving.rotation, moving.position
-        return poses
+        return rigid(moving.rotation, moving.position)
 
     def by_flange(self, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
         """(m, 6, 6) derivatives of the residuals by the flange's position and rotation vector.

@@ -11,6 +11,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State, Variables
 from pytest_twin.calibration.problem import CalibrationProblem, marker_of, terms_of
 from pytest_twin.calibration.terms import PointTerm, PoseTerm
+from pytest_twin.metrics.pose import rigid
 from pytest_twin.realization.serial_chain import SerialChain
 
 WIDEST_RAD, WIDEST_M = 2.0, 0.3
@@ -39,10 +40,10 @@ def draw_flanges(observed: FloatArray, count: int, seed: int) -> FloatArray:
     """(count, 4, 4) random flange poses within the box of the observed positions, m."""
     draw = np.random.default_rng(seed)
     places = observed[np.isfinite(observed).all(axis=(1, 2)), :3, 3]
-    found = np.tile(np.eye(4), (count, 1, 1))
-    found[:, :3, :3] = Rotation.random(count, random_state=seed).as_matrix()
-    found[:, :3, 3] = draw.uniform(places.min(axis=0), places.max(axis=0), (count, 3))
-    return found
+    return rigid(
+        Rotation.random(count, random_state=seed).as_matrix(),
+        draw.uniform(places.min(axis=0), places.max(axis=0), (count, 3)),
+    )
 
 
 def predict_rows(problem: CalibrationProblem, state: State, at: FloatArray) -> CalibrationProblem:

@@ -109,6 +109,20 @@ def pose_vector(transform: ArrayLike) -> FloatArray:
     return np.concatenate([matrix[:3, 3], quaternion_of(matrix[:3, :3])])
 
 
+def rigid(rotation: ArrayLike, position: ArrayLike) -> FloatArray:
+    """(..., 4, 4) transforms of rotations (..., 3, 3) and positions (..., 3), m."""
+    turn, shift = np.asarray(rotation), np.asarray(position)
+    transform = np.zeros((*np.broadcast_shapes(turn.shape[:-2], shift.shape[:-1]), 4, 4))
+    transform[..., :3, :3], transform[..., :3, 3], transform[..., 3, 3] = turn, shift, 1.0
+    return transform
+
+
+def inverse(transforms: FloatArray) -> FloatArray:
+    """(..., 4, 4) inverses of rigid transforms."""
+    turn = np.swapaxes(transforms[..., :3, :3], -1, -2)
+    return rigid(turn, -np.einsum("...ij,...j->...i", turn, transforms[..., :3, 3]))
+
+
 def _vee(matrix: FloatArray) -> FloatArray:
     """(3,) twice the vector of the skew-symmetric part of a (3, 3) matrix."""
     return np.array(

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.asset.loss.description import JointFacts
-from pytest_twin.metrics.pose import direction_error, orientation_error, position_error
+from pytest_twin.metrics.pose import direction_error, inverse, orientation_error, position_error
 from pytest_twin.properties.asset import Asset
 from pytest_twin.properties.form import Form
 from pytest_twin.properties.violation import Broken
-from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
 Q = Mapping[str, float]

@@ -13,12 +13,12 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.metrics.pose import inverse
 from pytest_twin.properties.agreement import Q, gravity_scales, matrix_of
 from pytest_twin.properties.asset import Asset
 from pytest_twin.properties.form import Form
 from pytest_twin.properties.trees import joint_names
 from pytest_twin.properties.violation import Broken
-from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
 

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.formats.temporary import temporary_folder
-from pytest_twin.metrics.pose import orientation_error, position_error
+from pytest_twin.metrics.pose import inverse, orientation_error, position_error
 from pytest_twin.properties import trees
 from pytest_twin.properties.agreement import Q, matrix_of
 from pytest_twin.properties.asset import Asset
 from pytest_twin.properties.form import Form, mujoco_form, pinocchio_form
 from pytest_twin.properties.violation import Broken
-from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
 _TINY_INERTIA = 1e-10

@@ -14,8 +14,8 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pytest_twin.formats.xml import digits
-from pytest_twin.metrics.pose import rotation_of
-from pytest_twin.realization.tree import RigidTree, TreeBody, TreeJoint, inverse
+from pytest_twin.metrics.pose import inverse, rigid, rotation_of
+from pytest_twin.realization.tree import RigidTree, TreeBody, TreeJoint
 
 Vector = NDArray[np.float64]
 
@@ -211,7 +211,4 @@ def _name(model: Any, index: int) -> str:
 
 
 def _pose(position: Vector, quaternion: Vector) -> Vector:
-    pose = np.eye(4)
-    pose[:3, :3] = rotation_of(quaternion)
-    pose[:3, 3] = position
-    return pose
+    return rigid(rotation_of(quaternion), position)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import SpecError
+from pytest_twin.metrics.pose import rigid
 from pytest_twin.realization import patch
 from pytest_twin.realization.source import Source
 from pytest_twin.twin import Simulator, Twin
@@ -184,7 +185,7 @@ class NamedModel:
         """
         kind, index = self.frame_index(frame)
         site = kind == mujoco.mjtObj.mjOBJ_SITE
-        pose = np.eye(4)
-        pose[:3, :3] = (data.site_xmat if site else data.xmat)[index].reshape(3, 3)
-        pose[:3, 3] = (data.site_xpos if site else data.xpos)[index]
-        return pose
+        return rigid(
+            (data.site_xmat if site else data.xmat)[index].reshape(3, 3),
+            (data.site_xpos if site else data.xpos)[index],
+        )

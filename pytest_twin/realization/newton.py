@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SpecError, TwinError
-from pytest_twin.metrics.pose import rotation_of
+from pytest_twin.metrics.pose import rigid, rotation_of
 from pytest_twin.realization.inertia import compiled_inertia
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.simulate import SimulatedMotion, divergence_error
@@ -390,7 +390,4 @@ def _read_stage(path: Path, modified_ns: int, joints: tuple[str, ...]) -> _Stage
 
 def _matrix(transform: Vector) -> Vector:
     """Return the (4, 4) matrix of Newton's transform: x y z [m], qx qy qz qw."""
-    pose = np.eye(4)
-    pose[:3, :3] = rotation_of(np.roll(transform[3:], 1))
-    pose[:3, 3] = transform[:3]
-    return pose
+    return rigid(rotation_of(np.roll(transform[3:], 1)), transform[:3])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError, SimulationError
+from pytest_twin.metrics.pose import rigid
 from pytest_twin.realization.engine import geom_distance
 from pytest_twin.realization.features.elements import colliding_geoms
 from pytest_twin.realization.simulate import geom_name
@@ -309,10 +310,7 @@ def pair_contact(
 
 def body_pose(data: mujoco.MjData, body: int) -> Vector:
     """Pose (4, 4) of a body in the world after the last kinematics, m."""
-    pose = np.eye(4)
-    pose[:3, :3] = data.xmat[body].reshape(3, 3)
-    pose[:3, 3] = data.xpos[body]
-    return pose
+    return rigid(data.xmat[body].reshape(3, 3), data.xpos[body])
 
 
 def velocity_of(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[float, ...]:

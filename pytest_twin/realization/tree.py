@@ -15,6 +15,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_twin.metrics.pose import inverse
+
 Vector = NDArray[np.float64]
 GRAVITY = (0.0, 0.0, -9.81)
 """(3,) m/s^2, in the frame of the root body."""
@@ -75,14 +77,6 @@ def rotation_about(axis: Vector, angle: float) -> Vector:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turned: Vector = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
     return turned
-
-
-def inverse(pose: Vector) -> Vector:
-    """(4, 4) inverse of a rigid transform."""
-    result = np.eye(4)
-    result[:3, :3] = pose[:3, :3].T
-    result[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
-    return result
 
 
 class RigidTree:

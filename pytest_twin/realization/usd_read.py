@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.errors import ModelError
+from pytest_twin.metrics.pose import inverse, rigid
 from pytest_twin.realization import usd
-from pytest_twin.realization.tree import RigidTree, TreeBody, TreeJoint, inverse
+from pytest_twin.realization.tree import RigidTree, TreeBody, TreeJoint
 from pytest_twin.realization.usd_names import display_name, link_prims
 
 Vector = NDArray[np.float64]
@@ -404,7 +405,4 @@ def rotation(quaternion: Any) -> Vector:
 
 
 def _frame(position: Any, quaternion: Any) -> Vector:
-    pose = np.eye(4)
-    pose[:3, 3] = np.array(position, dtype=np.float64)
-    pose[:3, :3] = rotation(quaternion)
-    return pose
+    return rigid(rotation(quaternion), np.array(position, dtype=np.float64))

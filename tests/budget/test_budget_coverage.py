@@ -15,7 +15,7 @@ from budget_files import declared, make_twin
 
 from pytest_twin.budget.budget_of_twin import budget_of_file
 from pytest_twin.calibration.calibrate import calibrate
-from pytest_twin.calibration.closed_form import inverse, rigid
+from pytest_twin.metrics.pose import inverse, rigid
 from pytest_twin.realization.serial_chain import SerialChain
 
 _CELLS = 4

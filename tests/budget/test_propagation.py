@@ -26,8 +26,8 @@ from budget_files import (
 )
 
 from pytest_twin.budget.budget_of_twin import budget_of_file
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.records import inverse_with_covariance
+from pytest_twin.metrics.pose import rigid
 
 COVARIANCE = np.array([[4e-6, -1.5e-6], [-1.5e-6, 1e-6]])
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Accept, HoldOut, Plan, Priors
-from pytest_twin.metrics.pose import rotation_of, rotation_vector
+from pytest_twin.metrics.pose import inverse, rigid, rotation_of, rotation_vector
 from pytest_twin.realization.serial_chain import SerialChain
 
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.chain import ChainParameters, forward, link_parameters
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.transform_derivatives import inverse_left_jacobian, left_jacobian
 from pytest_twin.errors import TwinError
+from pytest_twin.metrics.pose import rigid
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 
 SLIDING = """<robot name="r"><link name="base"/><link name="a"/><link name="b"/><link name="tip"/>

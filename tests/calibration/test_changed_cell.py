@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.calibrate import calibrate
-from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.plan import Accept, HoldOut
+from pytest_twin.metrics.pose import inverse, rigid
 
 PLAN = cells.plan("hand_eye", "base_world", accept=Accept(0.002, 0.004), hold_out=HoldOut(0.33, 1))
 OFFSET = rigid(Rotation.from_rotvec([0.0, 0.01, 0.0]).as_matrix(), [0.012, 0.004, 0.0])

@@ -12,7 +12,6 @@ import yaml
 
 from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.chain import ChainParameters, forward, link_parameters
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.exported_mjcf import write_calibrated_mjcf
 from pytest_twin.calibration.exports import (
     calibrated_urdf,
@@ -20,6 +19,7 @@ from pytest_twin.calibration.exports import (
     easy_handeye,
     static_transforms,
 )
+from pytest_twin.metrics.pose import rigid
 from pytest_twin.realization.serial_chain import load_serial_chain
 
 

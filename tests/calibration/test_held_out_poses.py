@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.calibrate import calibrate
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Accept, HoldOut
+from pytest_twin.metrics.pose import rigid
 
 HELD_OUT = tuple(str(row) for row in range(20, 30))
 

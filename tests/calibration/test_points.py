@@ -10,9 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.calibrate import calibrate
-from pytest_twin.calibration.closed_form import inverse, kabsch, rigid
+from pytest_twin.calibration.closed_form import kabsch
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.errors import SpecError
+from pytest_twin.metrics.pose import inverse, rigid
 
 TIP = np.array([0.01, 0.02, 0.15])
 NOISE_M = 2e-4

@@ -18,13 +18,13 @@ from test_points import (
 )
 
 from pytest_twin.calibration.calibrate import calibrate
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import HoldOut, Plan
 from pytest_twin.calibration.problem import make_problem
 from pytest_twin.calibration.record_prediction import held_out_observations, recorded_state
 from pytest_twin.calibration.residual_errors import errors_of
 from pytest_twin.formats.calibration_record import read_calibration_record
+from pytest_twin.metrics.pose import rigid
 
 HELD = HoldOut(0.3, 1)
 Case = Callable[[np.random.Generator], tuple[Plan, Observations]]

@@ -12,7 +12,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.calibrate import calibrate, solve_problem
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.observations import load_observations
 from pytest_twin.calibration.plan import HoldOut
 from pytest_twin.calibration.problem import make_problem
@@ -20,6 +19,7 @@ from pytest_twin.calibration.reach_hypotheses import hypotheses_in_words, reach_
 from pytest_twin.calibration.residual_errors import errors_of
 from pytest_twin.calibration.residual_patterns import Residuals, pattern_of
 from pytest_twin.calibration.split import split
+from pytest_twin.metrics.pose import rigid
 from pytest_twin.realization.serial_chain import SerialChain
 
 NOISE_M = 1e-3

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.calibrate import calibrate
-from pytest_twin.calibration.closed_form import rigid
 from pytest_twin.calibration.plan import Accept, HoldOut
+from pytest_twin.metrics.pose import rigid
 
 WHOLE = ("joint_zeros", "hand_eye", "base_world")
 

@@ -11,9 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.calibrate import calibrate
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Accept
+from pytest_twin.metrics.pose import inverse
 
 Change = Callable[[Observations], Observations]
 

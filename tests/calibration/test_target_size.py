@@ -18,10 +18,10 @@ from pytest_twin.calibration.boards.target import make_target
 from pytest_twin.calibration.calibrate import calibrate
 from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.intrinsics import make_intrinsics
-from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Accept, HoldOut, load_plan
 from pytest_twin.errors import SpecError
+from pytest_twin.metrics.pose import inverse, rigid
 
 TOLERANCE = 0.002
 BOARD = {"kind": "chessboard", "squares": [8, 5], "square": 0.03}

@@ -67,3 +67,11 @@ def test_pose_vector_contains_position_then_quaternion() -> None:
     transform[:3, 3] = [1, 2, 3]
     half = np.sqrt(0.5)
     np.testing.assert_allclose(pose.pose_vector(transform), [1, 2, 3, half, 0, 0, half])
+
+
+def test_many_poses_are_built_from_one_rotation_and_inverted() -> None:
+    turn = pose.rotation_of([0.5, 0.5, -0.5, 0.5])
+    poses = pose.rigid(turn, np.arange(6.0).reshape(2, 3))
+    assert poses.shape == (2, 4, 4)
+    assert np.array_equal(poses[:, :3, :3], np.stack([turn, turn]))
+    assert pose.inverse(poses) @ poses == pytest.approx(np.stack([np.eye(4)] * 2))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pytest_twin.asset.loss.description import Description, Dynamics
 from pytest_twin.asset.loss.matrix import Item, Row, Verdict
 from pytest_twin.asset.loss.table import EXACT, SINGLE, largest_magnitude
-from pytest_twin.realization.tree import inverse
+from pytest_twin.metrics.pose import direction_error, inverse, orientation_error
 
 Vector = NDArray[np.float64]
 _STEP = 0.1
@@ -40,12 +40,14 @@ def rows(
     """
     ran = f"{by} against {target.engine} at {len(poses)} configurations"
     frames = [name for name in reference.frames if name in target.dynamics.frames]
+    # np.maximum keeps NaN, which counts as a difference; max() would drop it.
     metres = radians = 0.0
     for q in poses:
         first, second = reference.poses(q), target.dynamics.poses(q)
         for frame in frames:
-            metres = max(metres, float(np.abs(first[frame] - second[frame])[:3, 3].max()))
-            radians = max(radians, angle_between(first[frame], second[frame]))
+            one, two = first[frame], second[frame]
+            metres = float(np.maximum(metres, np.abs(one - two)[:3, 3].max()))
+            radians = float(np.maximum(radians, orientation_error(one[:3, :3], two[:3, :3])))
     what = f"{len(frames)} frames"
     yield _measured("forward kinematics, position", what, ran, _Difference(metres, "m"))
     yield _measured("forward kinematics, orientation", what, ran, _Difference(radians, "rad"))
@@ -59,10 +61,8 @@ def rows(
         after=f"{mass[1]:.9g} kg",
     )
     if min(mass) > _LEAST_MASS:
-        centre = max(
-            float(np.abs(reference.center_of_mass(q) - target.dynamics.center_of_mass(q)).max())
-            for q in poses
-        )
+        centres = [reference.center_of_mass(q) - target.dynamics.center_of_mass(q) for q in poses]
+        centre = largest_magnitude(np.array(centres))
         yield _measured("centre of mass", "of all bodies", ran, _Difference(centre, "m"))
     mine, theirs = _orders(reference, target.dynamics, poses[0])
     names = f"{len(mine)} joints"
@@ -71,24 +71,20 @@ def rows(
     for q in poses if mine else []:
         one, two = reference.gravity_torque(q)[mine], target.dynamics.gravity_torque(q)[theirs]
         torque, largest = (
-            max(torque, largest_magnitude(one - two)),
+            np.maximum(torque, largest_magnitude(one - two)),
             max(largest, largest_magnitude(one)),
         )
         big = reference.mass_matrix(q)[np.ix_(mine, mine)]
         other = target.dynamics.mass_matrix(q)[np.ix_(theirs, theirs)]
         matrix, heaviest = (
-            max(matrix, largest_magnitude(big - other)),
+            np.maximum(matrix, largest_magnitude(big - other)),
             max(heaviest, largest_magnitude(big)),
         )
-    yield _measured("gravity torque", names, ran, _Difference(torque, "N*m or N", largest))
-    yield _measured("mass matrix", names, ran, _Difference(matrix, "kg*m^2, kg*m or kg", heaviest))
+    yield _measured("gravity torque", names, ran, _Difference(float(torque), "N*m or N", largest))
+    yield _measured(
+        "mass matrix", names, ran, _Difference(float(matrix), "kg*m^2, kg*m or kg", heaviest)
+    )
     yield _default_state(source, target)
-
-
-def angle_between(first: Vector, second: Vector) -> float:
-    """Return the angle between two (3, 3) rotations, accurate for small angles, rad."""
-    chord = float(np.linalg.norm(first[:3, :3] - second[:3, :3])) / math.sqrt(8.0)
-    return 2.0 * math.asin(min(1.0, chord))
 
 
 def _orders(
@@ -147,10 +143,10 @@ def _directions(source: Description, target: Description, reference: Dynamics, b
             if first is None:
                 continue
             second = _screw(two[frame] @ inverse(home_two[frame]))
-            angle = math.pi if second is None else _between(first, second)
+            angle = math.pi if second is None else direction_error(first, second)
             break
-        worst = max(worst, angle)
-        if angle > SINGLE:
+        worst = float(np.maximum(worst, angle))
+        if not angle <= SINGLE:
             turned_round = "reversed" if angle > math.pi / 2 else "about another axis"
             items.append(Item(name, "changed", "as stated", f"{turned_round}, {angle:.4g} rad"))
     ran = f"each joint moved by {_STEP:g} rad or m alone, {by} against {target.engine}"
@@ -172,10 +168,6 @@ def _screw(motion: Vector) -> Vector | None:
         axis = motion[:3, 3]
         length = float(np.linalg.norm(axis))
     return None if length < _PARALLEL else axis / length
-
-
-def _between(first: Vector, second: Vector) -> float:
-    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))
 
 
 def _default_state(source: Description, target: Description) -> Row:

@@ -18,7 +18,8 @@ from pytest_twin.asset.loss.table import (
     largest_magnitude,
     table,
 )
-from pytest_twin.realization.tree import RigidTree, inverse
+from pytest_twin.metrics.pose import inverse
+from pytest_twin.realization.tree import RigidTree
 
 Vector = NDArray[np.float64]
 

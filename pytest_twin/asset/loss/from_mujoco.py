@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from pytest_twin.asset.loss import shapes
 from pytest_twin.asset.loss.description import Description, JointFacts, LinkFacts
 from pytest_twin.asset.loss.shapes import Shape
+from pytest_twin.metrics.pose import inverse, rigid
 from pytest_twin.realization.collision_filter import (
     are_excluded,
     are_one_or_linked,
     have_matching_masks,
 )
 from pytest_twin.realization.inertia import compiled_inertia
-from pytest_twin.realization.tree import inverse
 
 Vector = NDArray[np.float64]
 _KINDS = {
@@ -71,9 +71,7 @@ class MujocoDynamics:
         return data
 
     def _pose(self, data: mujoco.MjData, body: int) -> Vector:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
-        return pose
+        return rigid(data.xmat[body].reshape(3, 3), data.xpos[body])
 
     def poses(self, q: Mapping[str, float]) -> dict[str, Vector]:
         """Return ``transform_root_to_frame`` (4, 4) of every body."""

@@ -9,6 +9,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State, Variables
 from pytest_twin.calibration.problem import CalibrationProblem
+from pytest_twin.metrics.pose import rigid
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,7 @@ class Arm:
     def flange(self, step: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, 4, 4) ``base_from_flange``, m, and its (n, 6, count) change in the base's axes."""
         moving = self.problem.flange(Variables(self.problem.layout, self.state, step))
-        poses = np.tile(np.eye(4), (len(moving.position), 1, 1))
-        poses[:, :3, :3], poses[:, :3, 3] = moving.rotation, moving.position
+        poses = rigid(moving.rotation, moving.position)
         return poses, np.concatenate([moving.shift, moving.turn], axis=1)
 
 

@@ -24,8 +24,8 @@ from pytest_twin.calibration.cameras.increments import (
     jacobian_of_inverse,
 )
 from pytest_twin.calibration.cameras.reprojection import Corners, reprojection_residuals
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.solvers.algebraic import Mount
+from pytest_twin.metrics.pose import inverse
 
 _HUBER = 2.5
 """Residuals beyond this many standard deviations enter the cost linearly. Huber's 1.345 is for 10 %

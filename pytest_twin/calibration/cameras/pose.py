@@ -13,6 +13,7 @@ from pytest_twin.calibration.boards.opencv import opencv
 from pytest_twin.calibration.cameras.increments import apply_change
 from pytest_twin.calibration.cameras.intrinsics import Intrinsics
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
+from pytest_twin.metrics.pose import rigid
 
 _STEPS = 20
 """Largest number of Levenberg-Marquardt steps."""
@@ -60,9 +61,7 @@ def target_pose(detection: Detection, intrinsics: Intrinsics) -> TargetPose | No
         return None
     found = []
     for turn, shift in zip(turns, shifts, strict=True):
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_rotvec(turn.ravel()).as_matrix()
-        pose[:3, 3] = shift.ravel()
+        pose = rigid(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel())
         if np.isfinite(pose).all() and pose[2, 3] > 0.0:
             refined = refine_pose(detection, intrinsics, pose)
             if refined is not None:

@@ -27,7 +27,6 @@ from pytest_twin.calibration.clocks.offset import (
 from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.stream_mistakes import mistakes_of_streams
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.document import new_document
 from pytest_twin.calibration.parameters import POSE_LABELS
 from pytest_twin.calibration.plan import Plan
@@ -44,6 +43,7 @@ from pytest_twin.calibration.records import (
 from pytest_twin.calibration.residual_errors import acceptance_failures, regions_of
 from pytest_twin.calibration.residual_patterns import pattern_of
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
+from pytest_twin.metrics.pose import inverse
 
 MOST_POSITION_SPREAD_M = 0.05
 """Standard deviation of a transform's position above which it is not determined."""

@@ -10,10 +10,10 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.clocks.correlation import angular_speed
 from pytest_twin.calibration.clocks.offset import ClockFit, hand_times, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.problem import describe_pose
 from pytest_twin.calibration.scene import frame
+from pytest_twin.metrics.pose import inverse
 
 _SHOWN_S, _STEP_S = 20.0, 0.05
 """Length of the plotted time segment of the angular speeds, and the time between samples."""

@@ -15,9 +15,9 @@ from pytest_twin.calibration.cameras.increments import (
     jacobian_by_second,
 )
 from pytest_twin.calibration.clocks.streams import PoseStream
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.solvers.algebraic import HandEye
 from pytest_twin.calibration.transform_derivatives import skew
+from pytest_twin.metrics.pose import inverse
 from pytest_twin.time_limit import is_over
 
 _STEPS = 40

@@ -8,7 +8,6 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.changed_cell import changed_cell
 from pytest_twin.calibration.clocks.offset import MOST_OFFSET_SPREAD_S, ClockFit, spread_rows
 from pytest_twin.calibration.clocks.streams import PoseStream
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.input_mistake import InputMistake
 from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
 from pytest_twin.calibration.observations import Observations
@@ -18,6 +17,7 @@ from pytest_twin.calibration.residual_errors import errors_of
 from pytest_twin.calibration.solve import robust_cost, solve
 from pytest_twin.calibration.starts import starts
 from pytest_twin.calibration.wrong_scale import wrong_scale
+from pytest_twin.metrics.pose import inverse
 
 _POSES = 60
 """Number of poses used. Neighbouring poses have the same errors, so more add nothing."""

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.errors import FormatError, LimitError
 from pytest_twin.formats import limits
 from pytest_twin.formats.paths import decode_text, read_bytes
+from pytest_twin.metrics.pose import inverse, rigid
 
 _COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _FEWEST = 20
@@ -141,9 +141,7 @@ def _stream(values: FloatArray, lines: list[int], path: Path) -> PoseStream:
             f"most rows are {period:.4g} s apart: t seems to be in ms, us or ns", path=path,
             line=lines[0], value=values[0, 0], expected="t in s, several rows a second",
         )  # fmt: skip
-    poses = np.tile(np.eye(4), (len(values), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(values[:, 4:]).as_matrix()
-    poses[:, :3, 3] = values[:, 1:4]
+    poses = rigid(Rotation.from_quat(values[:, 4:]).as_matrix(), values[:, 1:4])
     return PoseStream(values[:, 0], poses)
 
 

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.clocks.streams import PoseStream
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.errors import RecordingError
 from pytest_twin.formats.recording import JointSeries
 from pytest_twin.formats.ros_serialization import Integers
 from pytest_twin.formats.sensor_bag import SensorCollector
 from pytest_twin.formats.sensor_messages import StampedMessage
+from pytest_twin.metrics.pose import inverse, rigid
 
 TF = ("/tf", "/tf_static")
 
@@ -74,9 +74,7 @@ def _stream(poses: Sequence[StampedMessage], zero: int) -> PoseStream:
     stamps = np.array([one.stamp for one in poses], dtype=np.int64)
     _, rows = np.unique(stamps, return_index=True)
     values = np.array([poses[row].values for row in rows])
-    found = np.tile(np.eye(4), (len(rows), 1, 1))
-    found[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
-    found[:, :3, 3] = values[:, :3]
+    found = rigid(Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3])
     return PoseStream(seconds(stamps[rows], zero), found)
 
 

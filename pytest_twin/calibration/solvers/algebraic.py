@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.boards.opencv import opencv
-from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.metrics.pose import inverse, rigid
 
 Mount = Literal["hand", "world"]
 
@@ -128,10 +128,9 @@ def _solve(name: str, flange: FloatArray, camera_from_target: FloatArray) -> Han
 
 def mean_pose(poses: FloatArray) -> FloatArray:
     """(4, 4) mean of (n, 4, 4) poses: mean position and chordal mean rotation."""
-    found = np.eye(4)
-    found[:3, :3] = Rotation.from_matrix(poses[:, :3, :3]).mean().as_matrix()
-    found[:3, 3] = poses[:, :3, 3].mean(axis=0)
-    return found
+    return rigid(
+        Rotation.from_matrix(poses[:, :3, :3]).mean().as_matrix(), poses[:, :3, 3].mean(axis=0)
+    )
 
 
 def _parts(poses: FloatArray) -> tuple[Any, Any]:
@@ -139,10 +138,7 @@ def _parts(poses: FloatArray) -> tuple[Any, Any]:
 
 
 def _transform(rotation: Any, position: Any) -> FloatArray:
-    found = np.eye(4)
-    found[:3, :3] = rotation
-    found[:3, 3] = np.ravel(position)
-    return found
+    return rigid(rotation, np.ravel(position))
 
 
 def _not_rigid(transform: FloatArray) -> str:

@@ -23,10 +23,10 @@ from pytest_twin.calibration.cameras.images import Images
 from pytest_twin.calibration.cameras.increments import apply_change, by_measured, difference
 from pytest_twin.calibration.cameras.intrinsics import make_intrinsics
 from pytest_twin.calibration.chain import link_parameters
-from pytest_twin.calibration.closed_form import inverse, rigid
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Priors
 from pytest_twin.calibration.problem import make_problem
+from pytest_twin.metrics.pose import inverse, rigid
 
 CAMERA = make_intrinsics({"fx": 900.0, "fy": 905.0, "cx": 510.0, "cy": 378.0})
 TARGET = make_target({"kind": "chessboard", "squares": [8, 5], "square": 0.04})

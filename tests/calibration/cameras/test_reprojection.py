@@ -17,8 +17,8 @@ from pytest_twin.calibration.cameras.intrinsics import COUNT, Intrinsics, make_i
 from pytest_twin.calibration.cameras.normal_equations import MeasurementNoise, Unknowns
 from pytest_twin.calibration.cameras.pose import target_pose
 from pytest_twin.calibration.cameras.reprojection import corners_of, reprojection_residuals
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.calibration.solvers.algebraic import HandEye, solve_all
+from pytest_twin.metrics.pose import inverse
 
 RECORDINGS = Path(
     os.environ.get("TWIN_RECORDINGS") or Path(__file__).parents[4] / "shared" / "recordings"

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from pytest_twin import cli
 from pytest_twin.calibration.cameras.increments import apply_change
 from pytest_twin.calibration.clocks.streams import read_stream
-from pytest_twin.calibration.closed_form import inverse
 from pytest_twin.errors import FormatError
+from pytest_twin.metrics.pose import inverse
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 

@@ -16,7 +16,7 @@ from rendered_boards import CAMERA, apriltag_grid, charuco, chessboard, rendered
 from pytest_twin import cli
 from pytest_twin.calibration.boards.target import Target
 from pytest_twin.calibration.cameras.increments import apply_change
-from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.metrics.pose import inverse
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.calibration.cameras.increments import apply_change
-from pytest_twin.calibration.closed_form import inverse
+from pytest_twin.metrics.pose import inverse
 
 
 def pose(rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
