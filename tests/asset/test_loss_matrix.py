@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 from asset_robots import ARM, CORNERS, write_arm
 
-from pytest_twin.asset.loss import compare, from_mujoco, from_pinocchio, from_urdf, render
+from pytest_twin.asset.loss import (
+    behaviour,
+    compare,
+    from_mujoco,
+    from_pinocchio,
+    from_urdf,
+    render,
+)
 from pytest_twin.asset.loss.description import Description
 from pytest_twin.asset.loss.matrix import Conversion, Matrix, Row
 from pytest_twin.asset.realize import realize
@@ -239,3 +248,35 @@ def test_reports_escape_names_and_load_no_external_content(made: Path) -> None:
     assert "src=" not in page
     assert "http" not in page
     assert ARM.splitlines()[0][13:16] in page
+
+
+class Pendulum:
+    """Dynamics of a robot with one joint and constant quantities."""
+
+    joints, frames = ("elbow",), ("tool",)
+
+    def __init__(self, torque: float) -> None:
+        self.torque = torque
+
+    def poses(self, q: Mapping[str, float]) -> dict[str, np.ndarray]:
+        return {"tool": np.eye(4)}
+
+    def mass(self) -> float:
+        return 1.0
+
+    def center_of_mass(self, q: Mapping[str, float]) -> np.ndarray:
+        return np.zeros(3)
+
+    def gravity_torque(self, q: Mapping[str, float]) -> np.ndarray:
+        return np.array([self.torque])
+
+    def mass_matrix(self, q: Mapping[str, float]) -> np.ndarray:
+        return np.eye(1)
+
+
+def test_a_torque_that_is_no_number_is_a_critical_difference() -> None:
+    converted = SimpleNamespace(joints={}, engine="engine", dynamics=Pendulum(np.nan))
+    poses = [{"elbow": 0.0}, {"elbow": 1.0}]
+    found = behaviour.rows(converted, converted, Pendulum(0.5), "reference", poses)  # type: ignore[arg-type]
+    critical = [row.feature for row in found if row.critical]
+    assert critical == ["gravity torque"]
