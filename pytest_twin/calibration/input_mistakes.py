@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.calibration import closed_form
 from pytest_twin.calibration.input_mistake import FAR_BETTER, InputMistake
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.problem import CalibrationProblem
@@ -21,6 +20,7 @@ from pytest_twin.calibration.solve import Fit
 from pytest_twin.calibration.starts import starts
 from pytest_twin.calibration.terms import PoseTerm
 from pytest_twin.calibration.wrong_scale import FreeScale, scale_of, wrong_scale
+from pytest_twin.metrics.pose import inverse
 
 DOUBTFUL_M = 0.003
 """RMS error of a fit above which mistakes are searched for if the plan accepts any error. It is
@@ -135,7 +135,7 @@ def _alternatives(problem: CalibrationProblem) -> Iterator[tuple[str, str, Obser
         yield (
             f"the camera is not mounted as stated (camera: {{mount: {problem.plan.mount}}})",
             f"state camera: {{mount: {other}}}",
-            replace(observations, camera_from_target=closed_form.inverse(poses)),
+            replace(observations, camera_from_target=inverse(poses)),
         )
     elif poses is not None:
         yield (
@@ -143,7 +143,7 @@ def _alternatives(problem: CalibrationProblem) -> Iterator[tuple[str, str, Obser
             "otherwise than stated",
             "invert these poses (they must take the target's coordinates to the camera's), or "
             f"state camera: {{mount: {other}}}",
-            replace(observations, camera_from_target=closed_form.inverse(poses)),
+            replace(observations, camera_from_target=inverse(poses)),
         )
         yield (
             "the quaternions of camera_from_target seem to be in the order x y z w",
@@ -154,7 +154,7 @@ def _alternatives(problem: CalibrationProblem) -> Iterator[tuple[str, str, Obser
         yield (
             "flange.* seems to be the base in the flange: base and flange are swapped",
             "invert these poses: they must be the flange in the base",
-            replace(observations, flange=closed_form.inverse(flange)),
+            replace(observations, flange=inverse(flange)),
         )
         yield (
             "the quaternions of flange.* seem to be in the order x y z w",
@@ -167,8 +167,8 @@ def _alternatives(problem: CalibrationProblem) -> Iterator[tuple[str, str, Obser
                 "invert both",
                 replace(
                     observations,
-                    flange=closed_form.inverse(flange),
-                    camera_from_target=closed_form.inverse(poses),
+                    flange=inverse(flange),
+                    camera_from_target=inverse(poses),
                 ),
             )
     if problem.chain is not None:

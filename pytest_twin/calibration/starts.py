@@ -21,6 +21,7 @@ from pytest_twin.calibration.solve import LEAST_INLIERS
 from pytest_twin.calibration.solvers.algebraic import HAND_EYE, ROBOT_WORLD, solver_of_poses
 from pytest_twin.calibration.terms import PivotTerm, PointTerm, PoseTerm
 from pytest_twin.errors import SpecError
+from pytest_twin.metrics.pose import inverse, rigid
 from pytest_twin.time_limit import is_over
 
 HandEyeSolver = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -119,7 +120,7 @@ def is_subset(name: str) -> bool:
 
 def seen_poses(term: PoseTerm) -> FloatArray:
     """(m, 4, 4) ``seen`` with ``flange @ mounted = world @ seen``."""
-    return closed_form.inverse(term.measured) if term.mount == "hand" else term.measured
+    return inverse(term.measured) if term.mount == "hand" else term.measured
 
 
 def _start(problem: CalibrationProblem, solver: HandEyeSolver) -> State | None:
@@ -151,10 +152,10 @@ def _one_side(
 ) -> dict[str, FloatArray]:
     """If one of both poses is given, return the mean over observations of the other."""
     if free[0]:
-        each = closed_form.inverse(flange) @ state.poses[term.world] @ seen
+        each = inverse(flange) @ state.poses[term.world] @ seen
         return {term.mounted: _middle(each)}
     if free[1]:
-        each = flange @ state.poses[term.mounted] @ closed_form.inverse(seen)
+        each = flange @ state.poses[term.mounted] @ inverse(seen)
         return {term.world: _middle(each)}
     return {}
 
@@ -164,7 +165,7 @@ def _middle(poses: FloatArray) -> FloatArray:
     rotations = poses[:, :3, :3]
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     best = int(np.argmax(np.median(traces, axis=1)))
-    return closed_form.rigid(rotations[best], np.median(poses[:, :3, 3], axis=0))
+    return rigid(rotations[best], np.median(poses[:, :3, 3], axis=0))
 
 
 def _points(problem: CalibrationProblem, state: State) -> State:
@@ -180,7 +181,7 @@ def _points(problem: CalibrationProblem, state: State) -> State:
         else:
             seen = [_transform_points(poses[world], term.measured) for term in free]
             places = [
-                np.median(_transform_points(closed_form.inverse(a), b), axis=0)
+                np.median(_transform_points(inverse(a), b), axis=0)
                 for a, b in zip(mine, seen, strict=True)
             ]
         points |= {term.point: place for term, place in zip(free, places, strict=True)}
@@ -220,7 +221,7 @@ def _known_points(
         both = closed_form.park(flange[rows], np.array(seen))
         return dict(zip((mounted, world), both, strict=True))
     if free[0] and rows:
-        each = closed_form.inverse(flange[rows]) @ state.poses[world] @ np.array(seen)
+        each = inverse(flange[rows]) @ state.poses[world] @ np.array(seen)
         return {mounted: _middle(each)}
     if free[1]:
         tool = flange @ state.poses[mounted]
