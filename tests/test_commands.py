@@ -17,6 +17,7 @@ from pytest_twin import cli
 from pytest_twin.formats.schema import load_schema
 
 GOLDEN = Path(__file__).parents[1] / "golden"
+CARRIAGE = Path(__file__).parents[1] / "examples" / "carriage"
 LOADED = """
 import sys
 from pytest_twin import cli
@@ -175,7 +176,7 @@ def test_a_command_imports_no_other_command(name: str) -> None:
 
 
 JSON_COMMANDS = {
-    "init": (["{golden}/arm.xml", "--out", "twin"], "goldens"),
+    "init": (["{carriage}/axis.xml", "--out", "twin"], "goldens"),
     "intake": (["{golden}", "--out", "arm"], "states"),
     "audit": (["{golden}/arm.urdf"], "counts"),
     "realize": (["{golden}/arm.urdf", "--out", "arm"], "manifest"),
@@ -209,7 +210,7 @@ def test_json_goes_to_standard_output_and_text_to_standard_error(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     words, field = JSON_COMMANDS[name]
-    words = [word.format(golden=GOLDEN) for word in words]
+    words = [word.format(golden=GOLDEN, carriage=CARRIAGE) for word in words]
     assert cli.main([name, *words, "--json", "-"]) in (0, 1)
     out, err = capsys.readouterr()
     document = json.loads(out)
