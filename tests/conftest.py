@@ -16,6 +16,12 @@ from in_process import InProcess
 
 from pytest_twin.cli import COMMANDS, module_of
 
+# Imported here once: pytester unloads what an inner run imports, and msgspec looks the types of a
+# statement up in its module when it first reads one.
+from pytest_twin.release import statement
+
+assert statement.read
+
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out the proofs over many seeds; a sample of each, without the mark, always runs."""

@@ -69,7 +69,7 @@ def gaps(outcomes: Collection[Outcome]) -> tuple[Gap, ...]:
 
 def assumptions(outcomes: Collection[Outcome]) -> list[str]:
     """Return one line for each value that results assume because nothing states it."""
-    several = len({one.realization for one in outcomes if one.notes}) > 1
+    several = len({one.realization for one in outcomes}) > 1
     lines = (
         f"assumed{f' on {one.realization}' if several else ''}: {note}"
         for one in outcomes
