@@ -85,7 +85,7 @@ def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> E
         (target.file, MODEL_FILE),
         target.engine,
         "schema",
-        tuple(effect_row(e, source.patched, comparison, None) for e in found),
+        tuple(effect_row(e, source, comparison, None) for e in found),
         {},
         tuple(_notes(target, table)),
     )

@@ -11,9 +11,10 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.asset.loss.matrix import Row, Verdict
-from pytest_twin.diagnosis.patched.model import MODEL_FILE, PatchedModel
+from pytest_twin.diagnosis.patched.model import MODEL_FILE
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.contact_geoms import ContactGeoms, find_contact_geoms
+from pytest_twin.effects.layout import Layout
 from pytest_twin.errors import ModelError, SpecError, TwinError
 from pytest_twin.export import measure
 from pytest_twin.export.expression import Expression
@@ -183,7 +184,7 @@ class MujocoExport:
         elif reference:
             difference = self._cost(expression, reference)
             comparison = "held-out error of the diagnosed model without this effect"
-        return effect_row(expression, self.source.patched, comparison, difference)
+        return effect_row(expression, self.source, comparison, difference)
 
     def _cost(self, expression: Expression, reference: measure.Errors) -> float | None:
         patched = self.source.loaded.patched
@@ -218,12 +219,15 @@ def copy_assets(realization: Realization, folder: Path) -> None:
 
 
 def effect_row(
-    expression: Expression, patched: PatchedModel, comparison: str, difference: float | None
+    expression: Expression, source: ExportSource, comparison: str, difference: float | None
 ) -> Row:
     """The row of an effect: its parameters, how it was written, and what it costs."""
-    law = catalogue()[expression.effect]
+    patched, law = source.patched, catalogue()[expression.effect]
+    layout = Layout.of_model(source.loaded.realization.model, patched.joints)
+    column = 0 if expression.joint is None else patched.joints.index(expression.joint)
+    kind, servo = "slide" if layout.slides[column] else "hinge", str(layout.servo[column])
     values = ", ".join(
-        f"{p.reported_name} {p.reported(expression.values[p.name]):.6g} {p.unit('hinge')}"
+        f"{p.reported_name} {p.reported(expression.values[p.name]):.6g} {p.unit(kind, servo)}"
         for p in law.parameters
         if p.name in expression.values
     )

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
+import mujoco
+
 from pytest_twin import release
 from pytest_twin.dependency import Part
 from pytest_twin.formats.digest import bytes_sha256
@@ -65,7 +67,7 @@ def make_draft(root: Path, *extra: Path, name: str = "arm", result: Outcome | No
         },
         parts=parts,
         proofs=(release.Proof(result or outcome(), "Home pose", tuple(parts)),),
-        environment={"python": "CPython 3.11.2", "mujoco": "4.0.0"},
+        environment={"python": "CPython 3.11.2", "mujoco": mujoco.__version__},
         files={path: sha256(path) for path in (*files, *extra)},
     )
 
