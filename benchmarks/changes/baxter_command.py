@@ -121,9 +121,10 @@ def show(answers: Sequence[dict]) -> None:
             continue
         right = [bool(o["named"]) and o["named"][0][:2] == [o["effect"], o["at"]] for o in own]
         for one in own:
-            for effect, at, confidence in one["named"]:
-                sure += confidence >= 0.9
-                right_and_sure += confidence >= 0.9 and [effect, at] == [one["effect"], one["at"]]
+            # A change of a motor type has a finding for each of its joints.
+            for effect, at in {(e, at) for e, at, confidence in one["named"] if confidence >= 0.9}:
+                sure += 1
+                right_and_sure += (effect, at) == (one["effect"], one["at"])
         if own:
             print(
                 f"{kind}: {len(own)} cases, alarm {len(alarms)}, named first and right "
