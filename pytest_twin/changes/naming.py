@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Contrast
-from pytest_twin.changes.evidence import Tempering, estimate, evidence_of
+from pytest_twin.changes.evidence import Tempering, estimate, evidence_of, gains_of
 from pytest_twin.changes.joint_friction import JointFriction, joint_frictions
 from pytest_twin.changes.motor_types import TypeLaw
 from pytest_twin.estimation.hypothesis import Term
@@ -117,7 +117,9 @@ def best_change(
     confidence = probability[term]
     if best >= len(shapes):
         law, (_, value, covariance) = types[best - len(shapes)], of_types[best - len(shapes)]
-        changed = [k for k in law.members if evidence[k] > 0.0]
+        gains, penalties = gains_of(contrast, shapes)
+        shown = gains / tempering.inflation > penalties
+        changed = [k for k in law.members if shown[k]]
         if len(changed) != 1:
             return _of_type(law, shapes, value, covariance, confidence, _rivals(probability, term))
         # Only one of its joints changed.
