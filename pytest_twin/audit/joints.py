@@ -200,6 +200,15 @@ def _bounds(asset: Asset, joint: Joint, *, passive: bool) -> Iterator[Finding]:
 
 
 def _friction(joint: Joint) -> Iterator[Finding]:
+    if joint.friction and joint.effort and joint.friction >= joint.effort:
+        yield finding_of(
+            "joints.friction_above_effort",
+            joint.place,
+            _element(joint),
+            joint.friction,
+            unit=joint.effort_unit,
+            expected=f"less than its effort limit, {joint.effort:g} {joint.effort_unit}",
+        )
     if not joint.damping and not joint.friction:
         said = "0" if joint.damping == 0.0 else "not stated"
         yield finding_of(

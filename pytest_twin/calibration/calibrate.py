@@ -298,6 +298,7 @@ def calibrate(
     notes = [*problem.notes, *(() if seen is None else seen.notes), *_notes(plan, held)]
     notes += solved.notes
     if not degenerate:
+        notes += _note_on_inverses(problem, document["records"])
         notes += [
             f"the held-out observations do not test everything: with them alone, {words}; hold "
             "out others (hold_out: {seed: ...})"
@@ -456,6 +457,31 @@ def _outliers(fit: Fit) -> list[ExcludedMeasurement]:
                 )
             )
     return found
+
+
+def _note_on_inverses(problem: CalibrationProblem, found: Mapping[str, Any]) -> list[str]:
+    """A note if flange and camera poses may both be inverted.
+
+    With A the flange in the base and B the target in the camera, A X B = Z. The inverses of A and B
+    fit as well, and exchange X and Z: only their sizes show which is which.
+    """
+    columns = problem.observations
+    if problem.plan.mount != "hand" or problem.chain is not None or columns.images is not None:
+        return []
+    if columns.camera_from_target is None or not {"hand_eye", "base_world"} <= set(found):
+        return []
+    from_flange, from_base = (
+        1e3 * float(np.linalg.norm(found[record]["transform"]["xyz"]))
+        for record in ("hand_eye", "base_world")
+    )
+    if from_flange <= from_base:
+        return []
+    return [
+        f"the camera is {from_flange:.3g} mm from the flange, and the target {from_base:.3g} mm "
+        "from the base: if it is the other way round, flange.* and camera_from_target are both "
+        "inverted, which fits as well; invert both, so that they are the flange in the base and "
+        "the target in the camera"
+    ]
 
 
 def _notes(plan: Plan, held: CalibrationProblem) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -27,17 +26,12 @@ if TYPE_CHECKING:
     from pytest_twin.realization import Realization
 
 
-_MISSING_VISUAL = "meshes.missing:visual "
-"""Start of the ids of findings on visual meshes, which `init` does not copy."""
-
-
 class AssetAudit(Check):
     """Audit the file of a realization.
 
     ``values``: ``file``: name of the file; ``critical``: id -> finding, one sentence;
-    ``accepted``: id -> who accepts it, and why; ``counts``: severity -> number of findings, but
-    for visual meshes that are not among the twin's files, whose number is ``left_out``.
-    The notes state what the simulator assumes where the file is silent.
+    ``accepted``: id -> who accepts it, and why. The notes state what the simulator assumes where
+    the file is silent.
     """
 
     kind: ClassVar[str] = "asset"
@@ -59,7 +53,6 @@ class AssetAudit(Check):
         from pytest_twin.checks.assumed_values import assumed_values
 
         findings = findings_of(realization.path, realization.source.located)
-        left_out = [name for name in findings if name.startswith(_MISSING_VISUAL)]
         twin = realization.twin
         accepted = {} if twin is None else twin.accepted_findings
         critical = {
@@ -76,10 +69,6 @@ class AssetAudit(Check):
                     finding: f"accepted by {one.owner}: {one.reason}"
                     for finding, one in accepted.items()
                 },
-                "counts": dict(
-                    Counter(one.severity for name, one in findings.items() if name not in left_out)
-                ),
-                "left_out": len(left_out),
             },
             notes=assumed_values(realization),
         )
@@ -99,11 +88,9 @@ class AssetAudit(Check):
             )
         elif critical:
             summary += f" besides {len(critical)} that the twin accepts"
-        counts = values["counts"]
-        warnings = counted(counts.get("warning", 0), "warning")
-        # `pytest-twin audit` on the supplier's files looks at these too, and counts more or less.
-        without = "poses and visual meshes" if values["left_out"] else "poses"
-        summary += f"; {warnings} without {without}, {counts.get('unknown', 0)} not stated"
+        # How many warnings there are is said in one place: the command also looks at poses and at
+        # evidence beside the file.
+        summary += f"; warnings and values that nobody states: pytest-twin audit {values['file']}"
         return [
             _measure(summary, len(left)),
             *(

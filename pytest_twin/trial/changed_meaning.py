@@ -64,6 +64,9 @@ _DEFLECTION = 0.05
 """rad or m. More than loads and friction deflect a drive by."""
 _FASTER = 2.0
 """Ratio of the commands' frequencies above which a drive may be beyond its bandwidth."""
+_ONE_SIDE = 0.98
+"""Share of the rows with commands on one side of a joint that something holds; those of a drive
+that is off lie on both sides, unless it was switched off at an end of the motion."""
 _SHORTEST, _FEWEST_THERE = 0.1, 50
 """Share of the recording and samples that a meaning needs to be judged."""
 _MOST_ROWS = 4000
@@ -287,7 +290,10 @@ def _note_on_commands(motion: RecordedMotion, joint: str) -> list[str]:
     if lines[1].follows:
         # The same motion about another zero.
         if rms > _ZERO and float(np.std(error)) < _STEADY * rms:
-            words = f"is {float(np.mean(error)):.3g} away from where it is otherwise: another zero"
+            words = (
+                f"is {float(np.mean(error)):.3g} away from where it is otherwise: another zero, or "
+                "a load that deflects it"
+            )
     elif rms > _APART * float(command[wrong].std()):
         words = _meaning(lines[1], motion, joint, position[wrong], commands[wrong])
         if "does not" in words and not _is_as_slow(time, command, wrong, right):
@@ -312,6 +318,12 @@ def _meaning(
         if other != joint and theirs.moved and theirs.commanded and theirs.follows:
             return f"follows the command of {other!r}: names or columns are exchanged"
     if not line.moved or abs(line.correlation) < _HARDLY:
+        beyond = commands[:, motion.joints.index(joint)] - position
+        if max((beyond > 0.0).mean(), (beyond < 0.0).mean()) > _ONE_SIDE:
+            return (
+                "rests while its commands are all beyond it on one side: an object or a stop holds "
+                "it, as in a closed gripper, or the drive is off"
+            )
         return "does not follow its command: the drive is off, or the command is another motion's"
     return ""
 

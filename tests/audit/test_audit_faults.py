@@ -190,6 +190,14 @@ FAULTS = [
         '<joint name="elbow"',
     ),
     (
+        "friction above the effort limit",
+        [(ELBOW_LIMIT, '<limit lower="-2" upper="2" velocity="2" effort="0.1"/>')],
+        "joints.friction_above_effort",
+        "warning",
+        "joint 'elbow'",
+        '<joint name="elbow"',
+    ),
+    (
         "no effort",
         [(ELBOW_LIMIT, '<limit lower="-2" upper="2" velocity="2"/>')],
         "joints.no_effort",

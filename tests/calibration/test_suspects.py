@@ -112,6 +112,25 @@ def test_a_mistake_in_the_poses_is_reported(mistake: str, mount: str) -> None:
     assert not any("turn the flange" in reason for reason in found["reasons"])
 
 
+def test_poses_that_are_both_inverted_are_doubted_by_where_the_camera_would_be() -> None:
+    """Residuals cannot tell: the two unknown poses exchange their places."""
+    rng = np.random.default_rng(0)
+    cell = cells.flange_cell(rng, np.array([cells.pose(rng, 0.4) for _ in range(25)]))
+    columns = cell.observations
+    assert columns.flange is not None
+    assert columns.camera_from_target is not None
+    inverted = replace(
+        columns,
+        flange=inverse(columns.flange),
+        camera_from_target=inverse(columns.camera_from_target),
+    )
+    words = "flange.* and camera_from_target are both inverted"
+    for given, is_doubted in ((columns, False), (inverted, True)):
+        found = calibrate(cells.plan("hand_eye", "base_world"), given, None)
+        assert found["suspected"] == []
+        assert any(words in note for note in found["notes"]) is is_doubted
+
+
 @pytest.mark.parametrize("mistake", JOINTS)
 def test_a_mistake_in_the_joint_positions_is_reported(mistake: str) -> None:
     rng = np.random.default_rng(1)

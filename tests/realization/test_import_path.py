@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import pytest_twin
@@ -184,16 +186,45 @@ def test_a_child_imports_nothing_from_the_folder_it_works_in(
     assert imported(folder) == []
 
 
-@pytest.mark.parametrize("module", [False, True])
+PLAN = """\
+calibration: cell
+observations: poses.csv
+estimate: [hand_eye, base_world]
+camera: {mount: hand}
+accept: {translation: 0.002}
+"""
+
+
+def poses() -> str:
+    """Eight poses of a flange, with a camera on it and a target at the base, without noise."""
+    names = ("x", "y", "z", "qw", "qx", "qy", "qz")
+    heads = [f"{what}.{name}" for what in ("flange", "camera_from_target") for name in names]
+    rows = [",".join(("id", *heads))]
+    for k in range(8):
+        angle, axis = 0.3 + 0.2 * k, np.eye(3)[k % 3]
+        turn = (math.cos(angle / 2.0), *(math.sin(angle / 2.0) * axis))
+        back = (turn[0], *(-value for value in turn[1:]))
+        rows.append(",".join(map(str, (k, 0.0, 0.0, 0.0, *turn, 0.0, 0.0, 0.0, *back))))
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "module"),
+    [("audit model.xml", False), ("audit model.xml", True), ("calibrate plan.yaml", False),
+     ("budget .", False)],
+)  # fmt: skip
 def test_a_command_in_a_folder_with_colliding_names_imports_none_of_them(
-    folder: Path, module: bool
+    folder: Path, module: bool, command: str
 ) -> None:
+    (folder / "plan.yaml").write_text(PLAN)
+    (folder / "poses.csv").write_text(poses())
+    (folder / "twin.yaml").write_text("model: model.xml\n")
     start = (
         ["-m", "pytest_twin.cli"] if module else [str(Path(sys.executable).parent / "pytest-twin")]
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     done = subprocess.run(
-        [sys.executable, *start, "audit", "model.xml"],
+        [sys.executable, *start, *command.split(), "--out", "out"],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=100,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

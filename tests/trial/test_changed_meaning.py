@@ -100,6 +100,14 @@ def test_commands_that_stop_meaning_what_they_did_are_named(
     assert time == pytest.approx(SECONDS, abs=0.15)
 
 
+def test_a_joint_that_something_holds_is_not_called_switched_off() -> None:
+    """A gripper closes on an object and is squeezed more or less from then on."""
+    squeeze = COMMAND.copy()
+    squeeze[FROM:, 0] = POSITION[FROM, 0] - 0.3 - 0.2 * np.abs(COMMAND[FROM:, 0])
+    (note,) = notes_of(from_then_on(POSITION, RESTING), from_then_on(COMMAND, squeeze))[:1]
+    assert "'hip' rests while its commands are all beyond it on one side: an object" in note
+
+
 def test_a_tooth_that_skips_over_some_samples_is_named() -> None:
     ramp = np.clip((np.arange(COUNT) - FROM) / 8.0, 0.0, 1.0)[:, None]
     (note,) = notes_of(POSITION + 0.31 * ramp * [0.0, 1.0], COMMAND)
@@ -134,6 +142,71 @@ def test_a_faster_motion_that_the_drive_cannot_follow_is_not_named() -> None:
     sweep = 0.4 * np.sin(2.0 * np.pi * (0.1 * time + 0.5 * 0.8 * time**2))
     command = np.column_stack([sweep, 0.5 * sweep]) + MIDDLE
     assert notes_of(measured(command), command) == []
+
+
+def moves_and_rests(draw: np.random.Generator, rate: float) -> Table:
+    """(n, 2) commands, rad: minimum-jerk moves of 0.6 to 2 s, with rests between them, 20 s."""
+    columns = []
+    for _ in range(2):
+        parts: list[Table] = []
+        start = draw.uniform(-1.2, 1.2)
+        while sum(map(len, parts)) < 20.0 * rate:
+            end, s = (
+                draw.uniform(-1.2, 1.2),
+                np.linspace(0.0, 1.0, int(draw.uniform(0.6, 2) * rate)),
+            )
+            parts.append(start + (end - start) * (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5))
+            parts.append(np.full(int(draw.uniform(0.0, 1.0) * rate), end))
+            start = end
+        columns.append(np.concatenate(parts)[: int(20.0 * rate)])
+    return np.column_stack(columns)
+
+
+def follower(
+    command: Table, rate: float, *, lag: float, sag: float = 0.04, dead: float = 0.01,
+    fastest: float = np.inf, counts: int = 4096,
+) -> Table:  # fmt: skip
+    """(n, 2) positions, rad, of a servo: lag (s), sag under gravity and dead band (rad), rad/s."""
+    position = [command[0]]
+    for sent in command[:-1]:
+        error = sent - sag * np.cos(position[-1]) - position[-1]
+        error = np.sign(error) * np.maximum(np.abs(error) - dead, 0.0)
+        step = error * -np.expm1(-1.0 / (lag * rate))
+        position.append(position[-1] + np.clip(step, -fastest / rate, fastest / rate))
+    grid = 2.0 * np.pi / counts
+    return np.round(np.array(position) / grid) * grid
+
+
+@pytest.mark.parametrize(
+    ("rate", "servo"),
+    [
+        (30.0, {"lag": 0.06}),
+        (30.0, {"lag": 0.12, "sag": 0.12, "dead": 0.04}),
+        (30.0, {"lag": 0.06, "fastest": 1.0}),
+        (50.0, {"lag": 0.06, "counts": 400}),
+        (500.0, {"lag": 0.01, "sag": 0.0, "dead": 5e-4, "counts": 10**6}),
+    ],
+    ids=["leader and follower", "weak servo", "speed limit", "coarse encoder", "industrial arm"],
+)
+def test_no_make_of_servo_is_doubted(rate: float, servo: dict[str, float]) -> None:
+    """Also not filtered, pushed against a table, with a load picked up, or without commands."""
+    for seed in range(4):
+        command = moves_and_rests(np.random.default_rng(seed), rate)
+        position = follower(command, rate, **servo)
+        picked_up = np.clip(np.arange(len(position)) / rate - 10.0, 0.0, 0.3) / 0.3
+        smooth = np.exp(-np.arange(0.0, 0.5, 1.0 / rate) / 0.08)
+        filtered = [
+            np.convolve(p - p[0], smooth / smooth.sum())[: len(p)] + p[0] for p in position.T
+        ]
+        for log, sent in (
+            (position, command),
+            (position, None),
+            (np.column_stack(filtered), command),
+            (np.maximum(position, np.quantile(position, 0.25, axis=0)), command),
+            (position - 0.08 * np.cos(position) * picked_up[:, None], command),
+        ):
+            time = np.arange(len(log)) * RATE / rate
+            assert notes_of(log, sent, time) == []
 
 
 @pytest.mark.parametrize("command", ["show", "show without commands", "replay", "convert"])
