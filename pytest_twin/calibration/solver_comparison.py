@@ -38,7 +38,10 @@ def better_solver(distances: Mapping[str, FloatArray]) -> BetterSolver | None:
     Args:
         distances: solver -> (n,) held-out position errors of the same observations, m.
     """
-    sizes = {name: float(np.sqrt(np.mean(one**2))) for name, one in distances.items() if len(one)}
+    # Of a coordinate, as all other errors of a calibration.
+    sizes = {
+        name: float(np.sqrt(np.mean(one**2) / 3.0)) for name, one in distances.items() if len(one)
+    }
     if not sizes or LEAST_SQUARES not in sizes:
         return None
     name = min(sizes, key=lambda one: sizes[one])

@@ -27,6 +27,14 @@ def test_a_smaller_error_beyond_chance_is_said_with_the_transforms_to_use() -> N
     assert "solvers.tsai has its transforms" in found.words
 
 
+def test_the_errors_in_words_are_those_of_the_result() -> None:
+    """Root mean square of a coordinate, and not of a distance."""
+    ours = np.full(20, np.sqrt(3.0) * 1e-3)
+    found = better_solver({"tsai": 0.5 * ours, "least_squares": ours})
+    assert found is not None
+    assert "0.5 against 1 mm" in found.words
+
+
 def test_nothing_is_said_if_the_least_squares_has_the_smallest_error() -> None:
     ours = np.full(10, 1e-3)
     assert better_solver({"tsai": 2.0 * ours, "least_squares": ours}) is None
