@@ -425,9 +425,12 @@ def _first_positions(states: JointSeries | None) -> dict[str, float]:
 
 def _moved_before(states: JointSeries | None, begin: int) -> tuple[str, float] | None:
     """Joint that moved most before a time (ns), and by how much; None where all rested."""
-    if states is None or states.position is None:
+    if states is None or states.position is None or not len(states.stamp):
         return None
-    before = states.position[states.stamp <= begin]
+    # A trajectory without a stamp begins at a time of the recorder, whose clock may be another one
+    # than that of the states, as in a simulation.
+    is_on_their_clock = int(states.stamp.min()) <= begin <= int(states.stamp.max())
+    before = states.position[(states.stamp if is_on_their_clock else states.log_time) <= begin]
     spans = {
         name: float(np.ptp(measured))
         for name, column in zip(states.names, before.T, strict=True)

@@ -208,14 +208,21 @@ def test_curves_that_need_too_many_samples_are_refused() -> None:
 # -- recordings ---------------------------------------------------------------------------
 
 
-def recorded(folder: Path, *trajectories: tuple[int, bytes], moved: float = 0.0) -> Recording:
-    """States each 10 ms from 0.2 rad, and trajectories with the ms of their receipt."""
+def recorded(
+    folder: Path, *trajectories: tuple[int, bytes], moved: float = 0.0, clock: int = START
+) -> Recording:
+    """States each 10 ms from 0.2 rad, and trajectories with the ms of their receipt.
+
+    Args:
+        moved: rad in 10 ms.
+        clock: first stamp of the states, ns; the recorder begins at ``START``.
+    """
     states = [
         (
             "/s",
             ros.JOINT_STATE,
             START + k * 10 * MS,
-            cdr(Message(START + k * 10 * MS, ("a",), (0.2 + moved * k,), ())),
+            cdr(Message(clock + k * 10 * MS, ("a",), (0.2 + moved * k,), ())),
         )
         for k in range(100)
     ]
@@ -239,6 +246,16 @@ def test_the_first_trajectory_begins_at_the_first_state(tmp_path: Path) -> None:
 def test_a_joint_that_moved_before_the_first_trajectory_is_said(tmp_path: Path) -> None:
     found = recorded(tmp_path, (300, one_point(0, 1.0, 100)), moved=0.01)
     assert any("but a moved by 0.3 rad or m before it" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("at", [0, 300])
+def test_motion_before_a_trajectory_is_found_by_the_recorders_clock(
+    tmp_path: Path, at: int
+) -> None:
+    """States of a simulation, whose time begins at 12 s, under trajectories without stamps."""
+    clock = 12_000 * MS
+    found = recorded(tmp_path, (at, one_point(0, 1.0, 100)), moved=0.01, clock=clock)
+    assert any("moved by" in note for note in found.notes) is (at > 0)
 
 
 def test_a_trajectory_that_arrives_long_after_its_stamp_is_said(tmp_path: Path) -> None:
