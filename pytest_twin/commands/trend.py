@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,12 @@ from pytest_twin.commands.recording_arguments import (
     recording_options,
 )
 from pytest_twin.commands.terminal import show, show_lines
-from pytest_twin.commands.time_limit import add_seconds
+from pytest_twin.commands.time_limit import add_seconds, wall_limit
 from pytest_twin.errors import TwinError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, results
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
+from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report import trend
 
 EXAMPLES = (
@@ -105,11 +108,13 @@ def follow_into(
     arguments: Mapping[str, Any],
     stop: StopRequest | None = None,
     progress: Progress | None = None,
+    child: Sandbox | None = None,
 ) -> dict[str, Any]:
     """Follow one robot into a folder; return the content of ``trend.json``.
 
     Args:
         arguments: fields of ``TrendRequest`` other than files.
+        child: process that estimates; a new one by default.
 
     Raises:
         TwinError: the input cannot be used.
@@ -119,9 +124,18 @@ def follow_into(
         "recordings": [str(path.absolute()) for path in recordings],
         **arguments,
     }
-    with child_result(out, FILE_NAME, arguments["seconds"], stop, alone=True) as (staging, sandbox):
-        document: dict[str, Any] = sandbox.call(
-            "pytest_twin.trend.trend:follow_files", {"request": request}, progress=progress
+    with ExitStack() as opened:
+        if child is None:
+            staging, child = opened.enter_context(
+                child_result(out, FILE_NAME, arguments["seconds"], stop, alone=True)
+            )
+        else:
+            staging = opened.enter_context(results.result_folder(out, FILE_NAME, alone=True))
+        document: dict[str, Any] = child.call(
+            "pytest_twin.trend.trend:follow_files",
+            {"request": request},
+            seconds=wall_limit(arguments["seconds"]),
+            progress=progress,
         )
         atomic.write_json(staging / FILE_NAME, document)
         # Of a robot of a fleet, only joints with an alarm are drawn.
@@ -133,9 +147,24 @@ def follow_into(
 def follow_robot(robot: fleet.Robot, options: fleet.Options) -> str:
     """Follow one robot of a fleet; return its verdict."""
     document = follow_into(
-        options.out / robot.name, robot.model, robot.recordings, options.arguments, options.stop
-    )
+        options.out / robot.name, robot.model, robot.recordings, options.arguments, options.stop,
+        child=_child_of(options),
+    )  # fmt: skip
     return str(document["verdict"])
+
+
+_children: dict[int, tuple[fleet.Options, Sandbox]] = {}
+"""Process of a fleet -> its options and its child."""
+
+
+def _child_of(options: fleet.Options) -> Sandbox:
+    """The child of this process of a fleet: its start takes longer than to follow a robot."""
+    process = os.getpid()
+    known = _children.get(process)
+    if known is None or known[0] is not options:
+        _children.clear()
+        _children[process] = options, Sandbox(stop=options.stop)
+    return _children[process][1]
 
 
 TASK = fleet.Task(follow_robot, frozenset({"alarm"}), PAGE_NAME, "not followed")

@@ -2,7 +2,8 @@
 
 The statistic is the largest t value over all possible changes (sup-F test: Andrews, Econometrica
 61, 1993). Its distribution without a change is simulated for the very dates, weights and declared
-differences of the series (Monte Carlo test: Barnard 1963), so that it holds for few sessions too.
+differences of the series (Monte Carlo test: Barnard 1963), so that it holds for few sessions too,
+and for the tails of the scatter that all series of the robot show.
 Further steps are sought with the earlier ones declared (Bai, Perron, Econometrica 66, 1998).
 """
 
@@ -16,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.trend.tails import NORMAL, drawn
 
 Kind = Literal["step", "drift"]
 _DRAWS = 9999
@@ -47,13 +49,27 @@ class ChangePoint:
     probability: float
 
 
+@dataclass(frozen=True)
+class Alarm:
+    """What counts as a change.
+
+    Attributes:
+        level: probability of a change in any of the series if nothing changes.
+        series: number of series among which one change is sought.
+        tails: degrees of freedom of the t law of the sessions' scatter.
+    """
+
+    level: float
+    series: int
+    tails: float = NORMAL
+
+
 def changes_of(
     value: FloatArray,
     std: FloatArray,
     date: FloatArray,
     declared: FloatArray,
-    level: float,
-    series: int,
+    alarm: Alarm,
     tolerated: float = 0.0,
 ) -> list[ChangePoint]:
     """Changes of a series, in the order in which they are found.
@@ -62,8 +78,7 @@ def changes_of(
         value, std: (n,) estimates and their standard deviations.
         date: (n,) time, increasing, any unit.
         declared: (n, q) declared differences, such as temperature; what they explain is no change.
-        level: probability of a change in any of the series if nothing changes.
-        series: number of series among which one change is sought.
+        alarm: what counts as a change.
         tolerated: size of a change that the warm-up of a session explains.
     """
     weight = _weights(value, std)
@@ -71,14 +86,14 @@ def changes_of(
     known = declared
     for _ in range(_MOST_CHANGES):
         columns, kinds, after = _possible(date)
-        test = _Test.of(columns, known, weight)
+        test = _Test.of(columns, known, weight, alarm.tails)
         if test is None:
             break
         t, size, error = test.of_series(value, tolerated)
         best = int(np.argmax(t))
         by_chance = test.probability(float(t[best]))
-        probability = 1.0 - (1.0 - by_chance) ** series
-        if probability > level:
+        probability = 1.0 - (1.0 - by_chance) ** alarm.series
+        if probability > alarm.level:
             break
         found.append(
             ChangePoint(
@@ -113,20 +128,21 @@ def _possible(date: FloatArray) -> tuple[FloatArray, list[Kind], list[int]]:
     return columns, [*kinds, "drift"], [*range(1, count), 0]
 
 
-def detectable(
-    value: FloatArray, std: FloatArray, declared: FloatArray, level: float, series: int
-) -> float:
+def detectable(value: FloatArray, std: FloatArray, declared: FloatArray, alarm: Alarm) -> float:
     """Size of a step in the middle of a series that is found with a probability of one half.
 
     Arguments are as for :func:`changes_of`; infinite if no step can be found.
     """
     middle = (np.arange(len(value)) >= len(value) // 2).astype(float)
     test = _Test.of(
-        _possible(np.arange(len(value), dtype=float))[0], declared, _weights(value, std)
+        _possible(np.arange(len(value), dtype=float))[0],
+        declared,
+        _weights(value, std),
+        alarm.tails,
     )
     if test is None:
         return float("inf")
-    by_chance = 1.0 - (1.0 - level) ** (1.0 / series)
+    by_chance = 1.0 - (1.0 - alarm.level) ** (1.0 / alarm.series)
     rank = int(np.ceil((len(test.null) + 1) * (1.0 - by_chance))) - 1
     at = int(np.argmax(middle)) - 1
     if rank >= len(test.null) or not test.columns[:, at].any():
@@ -157,7 +173,9 @@ class _Test:
     null: FloatArray
 
     @classmethod
-    def of(cls, columns: FloatArray, declared: FloatArray, weight: FloatArray) -> _Test | None:
+    def of(
+        cls, columns: FloatArray, declared: FloatArray, weight: FloatArray, tails: float
+    ) -> _Test | None:
         """The test; None if too few sessions remain for it."""
         root = np.sqrt(weight)
         constant = np.column_stack([np.ones(len(weight)), declared]) * root[:, None]
@@ -170,7 +188,7 @@ class _Test:
         weighted = weighted - basis @ (basis.T @ weighted)
         length = np.linalg.norm(weighted, axis=0)
         unit = np.where(length > _LEFT * before, weighted / np.maximum(length, 1e-300), 0.0)
-        null = _null(basis.tobytes(), basis.shape, unit.tobytes(), unit.shape)
+        null = _null(basis.tobytes(), basis.shape, unit.tobytes(), unit.shape, tails)
         return cls(root, basis, unit, length, null)
 
     def of_series(
@@ -195,14 +213,17 @@ class _Test:
 
 @lru_cache(maxsize=256)
 def _null(
-    basis: bytes, basis_shape: tuple[int, ...], unit: bytes, unit_shape: tuple[int, ...]
+    basis: bytes,
+    basis_shape: tuple[int, ...],
+    unit: bytes,
+    unit_shape: tuple[int, ...],
+    tails: float,
 ) -> FloatArray:
-    """Sorted largest t values of series of independent normal values."""
+    """Sorted largest t values of series of independent values of one t law."""
     declared = np.frombuffer(basis).reshape(basis_shape)
     columns = np.frombuffer(unit).reshape(unit_shape)
-    random = np.random.default_rng(0)
-    drawn = random.standard_normal((_DRAWS, basis_shape[0]))
-    left = drawn - (drawn @ declared) @ declared.T
+    values = drawn(np.random.default_rng(0), tails, (_DRAWS, basis_shape[0]))
+    left = values - (values @ declared) @ declared.T
     along = left @ columns
     freedom = basis_shape[0] - basis_shape[1] - 1
     rest = np.maximum((left**2).sum(axis=1)[:, None] - along**2, 1e-300) / max(freedom, 1)

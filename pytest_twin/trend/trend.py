@@ -16,6 +16,7 @@ from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.time_limit import limited
 from pytest_twin.trend.change_points import (
+    Alarm,
     ChangePoint,
     changes_of,
     declared_steps,
@@ -24,6 +25,7 @@ from pytest_twin.trend.change_points import (
 )
 from pytest_twin.trend.parameters import Estimates, Followed, estimate
 from pytest_twin.trend.sessions import DECLARED_KEYS, FEWEST_SESSIONS, Session, read_sessions
+from pytest_twin.trend.tails import tails_of
 from pytest_twin.twin import DeclaredEvent
 
 _FEWEST_SWITCHES = 3
@@ -155,6 +157,11 @@ def follow(
         series.append((whole, error, np.zeros(len(error)), 0.0))
     usable = [np.flatnonzero(np.isfinite(value)) for _, value, _, _ in series]
     count = sum(len(which) >= FEWEST_SESSIONS for which in usable)
+    tails = tails_of([
+        _without(value[which], declared[which])
+        for (_, value, _, _), which in zip(series, usable, strict=True)
+    ])  # fmt: skip
+    alarm = Alarm(level, count, tails)
     changes, mixed, smallest = [], {}, np.full(len(estimates.followed), np.inf)
     for k, ((followed, value, std, tolerated), which) in enumerate(
         zip(series, usable, strict=True)
@@ -162,10 +169,10 @@ def follow(
         if len(which) < FEWEST_SESSIONS:
             continue
         own, known = value[which], declared[which]
-        found = changes_of(own, std[which], date[which], known, level, count, tolerated)
+        found = changes_of(own, std[which], date[which], known, alarm, tolerated)
         changes += [Change(followed, point, which) for point in found]
         if k < len(smallest):
-            smallest[k] = detectable(own, std[which], known, level, count) + tolerated
+            smallest[k] = detectable(own, std[which], known, alarm) + tolerated
             switches = switches_between_levels(_without(own, known))
             if switches >= _FEWEST_SWITCHES:
                 mixed[followed.name] = switches

@@ -7,11 +7,13 @@ import pytest
 from scipy.stats import binom
 
 from pytest_twin.trend.change_points import (
+    Alarm,
     changes_of,
     declared_steps,
     detectable,
     switches_between_levels,
 )
+from pytest_twin.trend.tails import NORMAL, drawn, tails_of
 
 LEVEL = 0.05
 NOTHING = np.zeros((20, 0))
@@ -22,10 +24,9 @@ def changes(value: np.ndarray, **changed: object) -> list[object]:
         "std": np.full(len(value), 0.1),
         "date": np.arange(len(value), dtype=float),
         "declared": np.zeros((len(value), 0)),
-        "level": LEVEL,
-        "series": 10,
     }
-    return changes_of(value, **{**given, **changed})  # type: ignore[arg-type, return-value]
+    alarm = Alarm(LEVEL, changed.pop("series", 10), changed.pop("tails", NORMAL))  # type: ignore[arg-type]
+    return changes_of(value, **{**given, **changed}, alarm=alarm)  # type: ignore[arg-type, return-value]
 
 
 @pytest.mark.parametrize("sessions", [4, 6, 20])
@@ -38,6 +39,29 @@ def test_alarms_where_nothing_changes_are_as_frequent_as_the_level(sessions: int
     )
     low, high = binom.interval(0.999, histories, LEVEL)
     assert low <= alarms <= high
+
+
+@pytest.mark.parametrize("freedom", [4.0, np.inf])
+def test_heavy_tails_of_all_series_raise_no_more_alarms_than_the_level(freedom: float) -> None:
+    random = np.random.default_rng(21)
+    histories, series = 60, 16
+    alarms = 0
+    for _ in range(histories):
+        values = drawn(random, freedom, (series, 20))
+        tails = tails_of(list(values))
+        alarms += any(changes(one, series=series, tails=tails) for one in values)
+    low, high = binom.interval(0.999, histories, LEVEL)
+    assert low <= alarms <= high
+
+
+def test_a_change_in_one_of_many_series_does_not_look_like_heavy_tails() -> None:
+    values = np.random.default_rng(22).standard_normal((36, 20))
+    values[3, -1] += 12.0
+    values[4, 10:] += 8.0
+    tails = tails_of(list(values))
+    assert tails > 6.0
+    assert changes(values[3], series=36, tails=tails)[0].after == 19
+    assert tails_of(list(values[:2])) == NORMAL
 
 
 def test_a_step_is_found_between_its_sessions_with_its_size() -> None:
@@ -99,7 +123,7 @@ def test_steps_of_the_detectable_size_are_found_about_every_second_time() -> Non
     count = hits = 0
     for _ in range(60):
         value = random.standard_normal(20)
-        size = detectable(value, np.full(20, 0.1), NOTHING, LEVEL, 10)
+        size = detectable(value, np.full(20, 0.1), NOTHING, Alarm(LEVEL, 10))
         hits += bool(changes(value + size * (np.arange(20) >= 10)))
         count += 1
     assert 0.25 * count < hits < 0.85 * count
