@@ -27,9 +27,9 @@ EXIT_STATUS = {
     0: (
         "all requested parameters are identifiable by motions within the approved limits; with "
         "--separate: a motion is expected to decide between the hypotheses with 0.9; with --check: "
-        "so it does between all effects"
+        "the motions show and distinguish 95 % of what any compared motion does"
     ),
-    1: "a parameter is not identifiable, no motion decides, effects stay alike, or none is safe",
+    1: "a parameter is not identifiable, no motion decides, the check misses more, or none is safe",
 }
 IDENTIFIABLE, NOT_IDENTIFIABLE = 0, 1
 FILE_NAME, ABORT_NAME, PAGE_NAME = "excitation.json", "abort.json", "excitation.html"
@@ -71,8 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check",
         action="store_true",
-        help="choose one motion under a minute along which the effects can be distinguished, to be "
-        "recorded at every release",
+        help="choose motions, together under a minute, along which the effects can be "
+        "distinguished, to be recorded at every release",
     )
     add_seconds(parser, 0.0, "the safe motions so far are written, and the other designs are named")
     model_files.add_arguments(parser)
@@ -182,19 +182,30 @@ def _separation(document: dict[str, Any], out: Path) -> list[str]:
 
 def _check(document: dict[str, Any], out: Path) -> list[str]:
     check, motions = document["check"], document["trajectories"]
+    seconds = sum(one["duration"]["value"] for one in motions)
     lines = [
-        f"Check motion: {check['separated']} of {counted(check['pairs'], 'pair')} of effects "
-        f"distinguished by {check['signals']} within the limits approved by "
-        f"{document['approved_by']}"
+        f"{'Sufficient' if document['verdict'] == 'separable' else 'Not sufficient'} check: "
+        f"{counted(len(motions), 'motion')}, {seconds:.3g} s together, within the limits approved "
+        f"by {document['approved_by']}",
+        f"  shows {check['shown']} of {counted(check['showable'], 'effect')}, and "
+        f"distinguishes {check['separated']} of {counted(check['separable'], 'pair')}, that any of "
+        f"{check['tried']} compared motions shows or distinguishes by {check['signals']} (needed: "
+        f"{100 * check['sufficient']:.0f} %)",
     ]
-    lines += [f"  {one['name']}: {one['duration']['value']:.3g} s" for one in motions]
-    alike = [" and ".join(one["names"]) for one in check["not_separated"]]
-    for what, names in (
-        ("not distinguished", alike), ("not shown", [one["name"] for one in check["not_shown"]]),
-    ):  # fmt: skip
-        lines += [f"! {what}: {name}" for name in names[:_MOST_LINES]]
+    missed = [",".join(pair) for pair in check["not_separated"]]
+    for words, mark, names in (
+        ("not distinguished; a motion of its own does: pytest-twin excite --separate", "!", missed),
+        ("shown only by another motion:", "!", check["not_shown"]),
+        ("act alike along every motion:", "=", [" = ".join(one) for one in check["groups"]]),
+    ):
+        lines += [f"{mark} {words} {name}" for name in names[:_MOST_LINES]]
         if len(names) > _MOST_LINES:
-            lines.append(f"! {what}: {len(names) - _MOST_LINES} more are in {FILE_NAME}")
+            lines.append(f"{mark} {len(names) - _MOST_LINES} more of these are in {FILE_NAME}")
+    hidden = check["never_shown"]
+    if hidden:
+        lines.append(
+            f"too small to show along any motion, at their typical size: {list_names(hidden, 6)}"
+        )
     return [*lines, *_refusals(document), *_notes(document, out)]
 
 

@@ -224,6 +224,7 @@ def _set_up(
             reading=_reading(args),
             critical=seen["critical"],
             alike=seen["alike"],
+            excitation=seen["excitation"],
             servo=args.servo or "",
             servo_fit=_servo_fit(args.servo, seen["drives"], args.robot),
         )

@@ -55,7 +55,21 @@ class PairOdds:
     @cached_property
     def separated(self) -> int:
         """Number of pairs that the motion distinguishes."""
-        return sum(probability(odds) >= self.needed for odds in self.pairs.values())
+        return len(self.distinguished)
+
+    @cached_property
+    def distinguished(self) -> frozenset[tuple[Term, Term]]:
+        """Pairs that the motion distinguishes."""
+        return frozenset(
+            pair for pair, odds in self.pairs.items() if probability(odds) >= self.needed
+        )
+
+    @cached_property
+    def seen(self) -> frozenset[Term]:
+        """Laws that the motion shows."""
+        return frozenset(
+            term for term, odds in self.shown.items() if probability(odds) >= self.needed
+        )
 
     @property
     def rank(self) -> float:

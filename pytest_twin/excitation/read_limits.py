@@ -62,7 +62,7 @@ def read_approved(realization: Realization, twin: Twin) -> ApprovedLimits:
     """
     section: Mapping[str, Any] = twin.excitation or {}
     joints = movable_joints(realization)
-    _refuse_floating_base(realization)
+    refuse_floating_base(realization)
     missing = missing_lines(section, joints)
     if missing:
         raise missing_error(twin.path, missing, twin)
@@ -130,7 +130,8 @@ class MissingApprovalError(SpecError):
     """Lines of ``excitation:`` are missing."""
 
 
-def _refuse_floating_base(realization: Realization) -> None:
+def refuse_floating_base(realization: Realization) -> None:
+    """Raise ModelError if the robot's base floats: its motion needs more than joint limits."""
     model = realization.model
     floating = (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)) & (
         model.body_parentid[model.jnt_bodyid] == 0

@@ -12,43 +12,28 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
 from pytest_twin.excitation.approved_robot import ApprovedRobot
-from pytest_twin.excitation.candidates import (
-    Candidate,
-    candidates,
-    varied,
-    within_commands,
-)
+from pytest_twin.excitation.candidates import candidates
 from pytest_twin.excitation.closed_loop import servo_modes
 from pytest_twin.excitation.discrimination import Separation
 from pytest_twin.excitation.excite import Excitation, write_motions
-from pytest_twin.excitation.find_safe import RejectedDesign, Robot, SafeMotion, find_safe
+from pytest_twin.excitation.find_safe import RejectedDesign, SafeMotion
 from pytest_twin.excitation.hypotheses import (
     Rival,
     read_diagnosed,
     read_rivals,
 )
-from pytest_twin.excitation.motion import Motion, Role
+from pytest_twin.excitation.motion import Role
+from pytest_twin.excitation.motion_search import Judged, safe_motions, search
 from pytest_twin.excitation.responses import Noise
 from pytest_twin.excitation.separators import Separator, separator_of
 from pytest_twin.time_limit import limited, skips
 
 DECIDED = 0.9
 """Expected probability from which a motion tells two hypotheses apart."""
-_ROUNDS = 3
-"""Number of rounds in which the best random moves are varied."""
 _FINALISTS = 4
 """Number of motions whose safety is checked by simulation, the best first."""
 _USUAL = ("steps", "chirp", "reversals", "fourier")
 """Kinds of the motions that ``excite`` designs without hypotheses."""
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A candidate with its motion and how well this separates the hypotheses."""
-
-    candidate: Candidate
-    motion: Motion
-    separation: Separation
 
 
 @dataclass(frozen=True)
@@ -67,7 +52,7 @@ class Chosen:
     truths: tuple[Mapping[str, Any], Mapping[str, Any]] = ({}, {})
     motions: tuple[tuple[SafeMotion, Separation], ...] = ()
     refused: tuple[RejectedDesign, ...] = ()
-    usual: Judged | None = None
+    usual: Judged[Separation] | None = None
     tried: int = 0
 
 
@@ -129,27 +114,10 @@ def separate(
     Raises:
         OutOfTime: the time limit is over before the first motions are compared.
     """
-    approved = robot.approved
-    first = candidates(approved, robot.loads, robot.optimal, moved, robot.seed)
-    judged = _judged(first, robot, separator)
-    random = np.random.default_rng(robot.seed)
-    for number in range(_ROUNDS):
-        progress(0.4 + 0.15 * number)
-        if skips("varied motions"):
-            break
-        try:
-            judged.sort(key=lambda one: one.separation.rank, reverse=True)
-            best = [one.candidate for one in judged]
-            some = varied(best, approved, moved, random, number, robot.seed)
-            judged += _judged(some, robot, separator)
-        except OutOfTime:
-            skips("varied motions")
-            break
-    judged.sort(key=lambda one: one.separation.rank, reverse=True)
+    first = candidates(robot.approved, robot.loads, robot.optimal, moved, robot.seed)
+    judged = search(robot, first, moved, separator.separations, lambda done: progress(0.9 * done))
     usual = next((one for one in judged if one.motion.kind in _USUAL), None)
-    robots: dict[str | None, Robot] = {None: Robot(robot.realization, approved)}
-    finalists = [one.candidate.design for one in judged[:_FINALISTS]]
-    safe, refused = find_safe(finalists, approved, robots, lambda fraction: None)
+    safe, refused = safe_motions(robot, judged[:_FINALISTS])
     final = _of_safe(safe, judged, separator)
     return Chosen(separator.truths(), final, tuple(refused), usual, len(judged))
 
@@ -158,19 +126,12 @@ def _joints_of(rival: Rival, count: int) -> Sequence[int]:
     return range(count) if rival.term.joint < 0 else (rival.term.joint,)
 
 
-def _judged(some: Sequence[Candidate], robot: ApprovedRobot, separator: Separator) -> list[Judged]:
-    """Candidates whose commands keep the limits, with their separation."""
-    kept, motions = within_commands(some, robot)
-    return [Judged(*each) for each in zip(kept, motions, separator.separations(motions),
-                                          strict=True)]  # fmt: skip
-
-
 def _of_safe(
-    safe: Sequence[SafeMotion], judged: Sequence[Judged], separator: Separator
+    safe: Sequence[SafeMotion], judged: Sequence[Judged[Separation]], separator: Separator
 ) -> tuple[tuple[SafeMotion, Separation], ...]:
     """Safe motions with their separation, the best first; scaled ones are simulated again."""
     known = {one.motion.name: one for one in judged}
-    by_name = {one.motion.name: known[one.motion.name].separation for one in safe}
+    by_name = {one.motion.name: known[one.motion.name].score for one in safe}
     again = [
         one.motion for one in safe
         if not np.array_equal(known[one.motion.name].motion.position, one.motion.position)
@@ -220,7 +181,7 @@ def _document(
         ],
         "usual_motion": None
         if chosen.usual is None
-        else _expected(rivals, chosen.usual.motion.name, chosen.usual.separation),
+        else _expected(rivals, chosen.usual.motion.name, chosen.usual.score),
         "needed": DECIDED,
         **noise_section(robot, noise),
         "tried": chosen.tried,

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 
 import mujoco
 
-from pytest_twin.excitation.approved_limits import MECHANISMS
+from pytest_twin.errors import ModelError
+from pytest_twin.excitation.approved_limits import MECHANISMS, missing_lines
+from pytest_twin.excitation.read_limits import movable_joints, refuse_floating_base
 from pytest_twin.realization.joint_limits import model_effort, model_range
 from pytest_twin.realization.model import Realization
 
@@ -32,6 +34,19 @@ _TABLES = {
         ("plan", "who stops the robot, and how"),
     ),
 }
+
+
+def blank_section(realization: Realization) -> str:
+    """Return the whole section ``excitation:`` without values; empty if no motion can be designed.
+
+    That is so for a robot without a movable joint, and for one whose base floats.
+    """
+    try:
+        refuse_floating_base(realization)
+    except ModelError:
+        return ""
+    joints = movable_joints(realization)
+    return template(realization, missing_lines({}, joints)) if joints else ""
 
 
 def template(realization: Realization, missing: Sequence[str]) -> str:

@@ -23,8 +23,8 @@ _KIND = {
     "moves": "Moves from rest to rest",
 }
 _CHECK_VERDICT = {
-    "separable": "The check motion tells all effects apart",
-    "not_separable": "The check motion leaves effects alike or hidden",
+    "separable": "The check distinguishes what motions within the limits can",
+    "not_separable": "The check misses effects that other motions show",
 }
 MARGINS = ("position", "velocity", "acceleration", "effort", "power", "stop", "workspace",
            "clearance")  # fmt: skip

@@ -13,6 +13,7 @@ from pytest_twin.checks import check_of, kinds
 from pytest_twin.checks.base import NothingToProposeError
 from pytest_twin.checks.proposals import Actuation, fixed_base
 from pytest_twin.errors import TwinError
+from pytest_twin.excitation.template import blank_section
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.joint_limits import model_effort
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
@@ -58,6 +59,7 @@ def inspect_model(model: str) -> dict[str, Any]:
         "tcp": _last_frame(realization),
         "motors": _motors(realization),
         "alike": _joints_alike(realization),
+        "excitation": blank_section(realization),
         "drives": {
             actuator: joints[0]
             for actuator, joints in realization.structure.actuator_joints.items()

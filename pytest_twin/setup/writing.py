@@ -95,6 +95,7 @@ class FirstTwin:
         reading: options of recordings, such as ``topics``, ``joints`` and ``clock``.
         critical: ids of the critical findings of the audit.
         alike: groups of joints that may have the same motor.
+        excitation: section ``excitation:`` without values, as YAML; empty without a movable joint.
         servo: id of the servo of all drives, or empty.
         servo_fit: values of its drives, as under ``fit:``.
     """
@@ -109,6 +110,7 @@ class FirstTwin:
     reading: Mapping[str, Any]
     critical: Sequence[str] = ()
     alike: Sequence[Sequence[str]] = ()
+    excitation: str = ""
     servo: str = ""
     servo_fit: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -154,8 +156,8 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
     servos = _servo_lines(motors, with_fit=bool(inertia_repairs)) if is_open else ""
     atomic.write_text(
         path,
-        f"{head}\n{_dump(content)}{servos}{_motor_types(first.alike)}{_acceptance(first.critical)}"
-        f"{_RULES}",
+        f"{head}\n{_dump(content)}{servos}{_motor_types(first.alike)}{_excitation(first.excitation)}"
+        f"{_acceptance(first.critical)}{_RULES}",
     )
     return path
 
@@ -173,6 +175,19 @@ def _motor_types(alike: Sequence[Sequence[str]]) -> str:
         "# take the # off these lines and write the type: diagnose --before then says whether one\n"
         "# joint changed or the type.\n"
         f"# motors:\n{groups}"
+    )
+
+
+def _excitation(section: str) -> str:
+    """Commented lines with the limits that a motion of the robot needs; empty without any."""
+    if not section:
+        return ""
+    lines = "".join(f"# {line}\n" for line in section.splitlines())
+    return (
+        "# For short check motions to record at every release, a qualified person takes the # off\n"
+        "# these lines and states the limits; the model's own are given where it has them. Then:\n"
+        "# pytest-twin excite twin.yaml --check --out check\n"
+        f"{lines}"
     )
 
 
