@@ -56,10 +56,6 @@ from pytest_twin.trial import Trial
 
 _LAST_ITERATIONS = 8
 """Iterations of the last fit; one that has converged stops earlier."""
-_CORRECTED_FITS = 3
-"""Largest number of last fits, each with the corrections at the parameters of the one before."""
-_SETTLED = 0.1
-"""Change of the corrections, in noise floors, below which the last fit is final."""
 _REFIT_ITERATIONS = 3
 """Iterations of a refit without one effect, which starts with the Jacobian of all effects."""
 _LOWER_FLOORS = 2
@@ -395,15 +391,9 @@ def _refit(
     if is_late and known.jacobian is not None and start is known.hypothesis:
         return known
     (residual,) = physics.simulate([start], start)
-    hypothesis = start
-    iterations = 1 if is_late else _LAST_ITERATIONS
-    for _ in range(1 if is_late else _CORRECTED_FITS):
-        before = hypothesis
-        hypothesis, residual, jacobian = physics.fit(before, residual, iterations, before)
-        (uncorrected,) = physics.simulate([hypothesis], before)
-        change = np.sqrt(np.mean((residual - uncorrected) ** 2, axis=0))
-        if not (change > _SETTLED * physics.floor).any():
-            break
+    hypothesis, residual, jacobian = physics.fit(
+        start, residual, 1 if is_late else _LAST_ITERATIONS, start
+    )
     size = physics.size(hypothesis)
     model = Model.of(found.comparison, hypothesis, residual, size, "report", hypothesis)
     return model.with_jacobian(found.comparison, jacobian)

@@ -14,8 +14,9 @@ from pytest_twin.estimation.hypothesis import Hypothesis
 
 # Levenberg-Marquardt damping factors, relative to the diagonal of the normal matrix.
 _DAMPINGS = (1e-4, 1e-1)
-# A step that reduces the cost below this share of it keeps the Jacobian for the next step.
-_FAST_REDUCTION = 0.5
+# Largest difference between the decrease of the cost and the one that the Jacobian predicts, as a
+# share of the latter, with which the Jacobian is kept (gain ratio: Nocedal, Wright 2006, sec. 4.1).
+_PREDICTED_WITHIN = 0.25
 # A fit stops when a step reduces the cost by less than this share.
 _CONVERGED = 1e-4
 # Finite-difference step of the coordinates.
@@ -91,49 +92,50 @@ def fit(
     residual = problem.residuals(current, segments)
     cost = [weighted_cost(r, weights) for r in residual]
     known: list[FloatArray | None] = [None] * len(current) if jacobians is None else [*jacobians]
-    is_current = [False] * len(current)
+    # Whether a Jacobian belongs to the present parameters, and whether a step has confirmed it.
+    is_exact, is_trusted = ([False] * len(current) for _ in range(2))
     active = [i for i, h in enumerate(current) if h.theta.size]
     for _ in range(iterations):
-        if not active:
-            break
         missing = [i for i in active if known[i] is None]
         if missing:
             _fill_jacobians(problem, current, residual, segments, missing, known)
             for i in missing:
-                is_current[i] = True
-        trials: list[Hypothesis] = []
-        ends = [0]
-        for i in active:
-            jac = known[i]
-            assert jac is not None
-            trials += propose_steps(current[i], residual[i], jac, weights, _DAMPINGS)
-            ends.append(len(trials))
-        tried = problem.residuals(trials, segments)
+                is_exact[i] = is_trusted[i] = True
+        steps = {i: _possible_steps(current[i], residual[i], known[i], weights) for i in active}
+        # Where a trusted Jacobian predicts no decrease, no step is simulated.
+        active = [
+            i for i in active
+            if not is_trusted[i] or any(
+                predicted is None or predicted < cost[i] * (1.0 - _CONVERGED)
+                for _, predicted in steps[i]
+            )
+        ]  # fmt: skip
+        if not active:
+            break
+        ends = np.cumsum([0, *(len(steps[i]) for i in active)])
+        tried = problem.residuals([h for i in active for h, _ in steps[i]], segments)
         unconverged = []
         for k, i in enumerate(active):
-            options = range(ends[k], ends[k + 1])
-            best = min(options, key=lambda o: weighted_cost(tried[o], weights))
-            gained = weighted_cost(tried[best], weights)
-            # The Jacobian is kept as long as it reduces the cost fast.
-            fast = gained < _FAST_REDUCTION * cost[i]
-            if jacobians is not None:
-                step = trials[best].theta - current[i].theta
-                known[i] = _broyden_update(known[i], step, residual[i] - tried[best])
-                is_current[i] = True
-            if gained < cost[i]:
-                if gained < cost[i] * (1.0 - _CONVERGED) or not is_current[i]:
-                    unconverged.append(i)
-                current[i], residual[i], cost[i] = trials[best], tried[best], gained
-            elif not is_current[i]:
+            costs = [weighted_cost(r, weights) for r in tried[ends[k] : ends[k + 1]]]
+            best = int(np.argmin(costs))
+            (new, predicted), change = steps[i][best], residual[i] - tried[ends[k] + best]
+            decrease = cost[i] - costs[best]
+            is_predicted = predicted is not None and _is_near(decrease, cost[i] - predicted)
+            if decrease > _CONVERGED * cost[i] or not (is_exact[i] or is_predicted):
                 unconverged.append(i)
-            is_current[i] = False
-            if not fast and jacobians is None:
+            if jacobians is not None or is_predicted:
+                known[i] = _broyden_update(known[i], new.theta - current[i].theta, change)
+                is_trusted[i] = True
+            elif decrease > 0.0 or not is_exact[i]:
                 known[i] = None
+            if decrease > 0.0:
+                current[i], residual[i], cost[i] = new, residual[i] - change, costs[best]
+                is_exact[i] = False
         active = unconverged
     if slopes:
-        outdated = [i for i, h in enumerate(current) if not is_current[i] and h.theta.size]
-        if outdated:
-            _fill_jacobians(problem, current, residual, segments, outdated, known)
+        missing = [i for i, h in enumerate(current) if known[i] is None and h.theta.size]
+        if missing:
+            _fill_jacobians(problem, current, residual, segments, missing, known)
     out = []
     for i, h in enumerate(current):
         jac = known[i]
@@ -144,6 +146,22 @@ def fit(
             )
         )
     return out
+
+
+def _possible_steps(
+    h: Hypothesis, residual: FloatArray, jacobian: FloatArray | None, weights: FloatArray
+) -> list[tuple[Hypothesis, float | None]]:
+    """Steps of a fit, with the cost that the Jacobian predicts; None for distant steps."""
+    assert jacobian is not None
+    damped = [propose_step(h, residual, jacobian, weights, d) for d in _DAMPINGS]
+    steps: list[tuple[Hypothesis, float | None]] = [
+        (new, weighted_cost(residual - jacobian @ (new.theta - h.theta), weights)) for new in damped
+    ]
+    return [*steps, *((new, None) for new in distant_steps(h))]
+
+
+def _is_near(decrease: float, predicted: float) -> bool:
+    return abs(decrease - predicted) <= _PREDICTED_WITHIN * predicted
 
 
 def _broyden_update(

@@ -13,6 +13,8 @@ from pytest_twin.estimation.comparison import Comparison, Size
 from pytest_twin.estimation.hypothesis import Hypothesis
 from pytest_twin.estimation.score import NOISE_FLOORS
 
+LEAST_ODDS = 0.01
+"""Odds against the incumbent from which a set widens the intervals of parameters."""
 _MOST_RESIDUALS = 64
 """Residuals that a pool keeps, those of the models with the most evidence."""
 
@@ -188,3 +190,10 @@ class Pool:
 def evidence_of(comparison: Comparison, mean_square: FloatArray, size: Size) -> float:
     """Penalized log-likelihood in which residuals up to ``NOISE_FLOORS`` count as noise."""
     return comparison.log_likelihood(mean_square, NOISE_FLOORS) - comparison.penalty(size)
+
+
+def is_rival_of(incumbent: Model, comparison: Comparison, size: Size) -> bool:
+    """Whether a model of a size that left noise alone would have odds that matter."""
+    own = evidence_of(comparison, incumbent.mean_square, incumbent.size)
+    largest = evidence_of(comparison, np.zeros_like(comparison.floor), size)
+    return largest - own > np.log(LEAST_ODDS)

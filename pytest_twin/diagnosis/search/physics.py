@@ -45,10 +45,14 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
-from pytest_twin.estimation.least_squares import fit
+from pytest_twin.estimation.least_squares import FittedModel, fit
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 
+_CORRECTED_FITS = 2
+"""Largest number of fits with the corrections at the parameters of the fit before."""
+_SETTLED = 0.1
+"""Change of the corrections, in noise floors, below which a fit is final."""
 _SMALLEST_NOISE = 1e-9
 """Smallest noise of a position, rad or m."""
 
@@ -247,18 +251,41 @@ class SimulatedPhysics:
         here = self.problem.at(corrected_at)
         weights = here.weights(np.mean(residual**2, axis=0))
         (fitted,) = fit(here, [hypothesis], weights, here.fit, iterations=iterations)
+        if not self.given:
+            return self._with_own_corrections(fitted, weights, iterations)
         found = fitted.hypothesis
-        if self.given and has_excessive_back_emf(self.problem, found):
+        if has_excessive_back_emf(self.problem, found):
             # The back-EMF follows the damping: at a fixed bound it would hold the damping.
             bounded = LargestBackEmf(here)
             (fitted,) = fit(bounded, [found], weights, here.fit, iterations=iterations)
             found = with_largest_back_emf(self.problem, fitted.hypothesis)
-        if self.given:
-            # A negative total shows that a given effect compensates for one that is missing.
-            found = found.with_theta(without_negative_totals(self.problem, found))
+        # A negative total shows that a given effect compensates for one that is missing.
+        found = found.with_theta(without_negative_totals(self.problem, found))
         corrected = self.problem.at(found)
         (last,) = corrected.residuals([found], corrected.fit)
         return found, last, fitted.jacobian
+
+    def _with_own_corrections(
+        self, fitted: FittedModel, weights: FloatArray, iterations: int
+    ) -> tuple[Hypothesis, FloatArray, FloatArray]:
+        """A fit continued with the corrections at its parameters, until these settle.
+
+        The Jacobian is kept: the corrections change the prediction little.
+        """
+        for _ in range(_CORRECTED_FITS):
+            corrected = self.problem.at(fitted.hypothesis)
+            (residual,) = corrected.residuals([fitted.hypothesis], corrected.fit)
+            change = np.sqrt(np.mean((residual - fitted.residual) ** 2, axis=0))
+            if not (change > _SETTLED * self.floor).any():
+                break
+            (fitted,) = fit(
+                corrected, [fitted.hypothesis], weights, corrected.fit,
+                iterations=iterations, jacobians=[fitted.jacobian],
+            )  # fmt: skip
+        else:
+            corrected = self.problem.at(fitted.hypothesis)
+            (residual,) = corrected.residuals([fitted.hypothesis], corrected.fit)
+        return fitted.hypothesis, residual, fitted.jacobian
 
     def linearize(self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray) -> View:
         """As :meth:`Physics.linearize`."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.search.model import Model, PooledModel, evidence_of
+from pytest_twin.diagnosis.search.model import LEAST_ODDS, Model, PooledModel, evidence_of
 from pytest_twin.diagnosis.search.search import SearchOutcome
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel
@@ -28,8 +28,6 @@ SAME_PREDICTION = 0.5
 """Noise floors up to which two predictions are equal, so that neither set can be preferred."""
 _AS_LIKELY = 0.5
 """Evidence up to which two sets are equally likely."""
-_LEAST_ODDS = 0.01
-"""Odds from which a set widens the intervals of parameters."""
 
 Terms = frozenset[Term]
 
@@ -129,7 +127,7 @@ def posterior(
     out.nearby = [
         (float(np.exp(e.log_odds)), _offsets(e.model.hypothesis, incumbent.hypothesis))
         for e in exchanges
-        if e.model.is_simulated and e.log_odds > np.log(_LEAST_ODDS)
+        if e.model.is_simulated and e.log_odds > np.log(LEAST_ODDS)
     ]
     return out
 

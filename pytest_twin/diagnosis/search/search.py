@@ -16,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.search.accept import accepts
 from pytest_twin.diagnosis.search.fit import fit_along_motion, with_linearized_jacobians
 from pytest_twin.diagnosis.search.linearized_view import View
-from pytest_twin.diagnosis.search.model import Acceptance, Model, Pool
+from pytest_twin.diagnosis.search.model import Acceptance, Model, Pool, is_rival_of
 from pytest_twin.diagnosis.search.neighbours import (
     Neighbour,
     Quota,
@@ -97,7 +97,7 @@ class Search:
         )
         self.pool = Pool(self.comparison)
         self._passed: Model | None = None
-        self._fitted_sets = set[frozenset[Term]]()
+        self._fits = dict[frozenset[Term], tuple[Physics, Model]]()
         nominal = self._model(EMPTY, residual, "nominal model", EMPTY)
         self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
         self._simplest = self.nominal
@@ -141,6 +141,15 @@ class Search:
             incumbent, self.physics, self.nominal, tuple(scores), self.pool, self.comparison,
             is_complete,
         )  # fmt: skip
+
+    def _may_win(self, hypothesis: Hypothesis, incumbent: Model) -> bool:
+        """Whether a model that left noise alone would replace the incumbent.
+
+        No score is above the penalty of the model: residuals below the noise floor count as equal.
+        """
+        size = self.physics.size(hypothesis)
+        needed = self.settings.earns if size.is_richer_than(incumbent.size) else 0.0
+        return -self.comparison.penalty(size) > incumbent.score + needed
 
     def _is_allowed(self, hypothesis: Hypothesis) -> bool:
         return has_given(hypothesis, self.physics.given)
@@ -270,6 +279,7 @@ class Search:
         removed effect had to earn its place, and its removal gets the same amount.
         """
         settings, count = self.settings, len(incumbent.hypothesis.terms)
+        proposals = [n for n in proposals if self._may_win(n.hypothesis, incumbent)]
 
         def rank(neighbour: Neighbour) -> float:
             fewer = max(count - len(neighbour.hypothesis.terms), 0)
@@ -288,6 +298,7 @@ class Search:
         other = [
             h for h in self.physics.rewrites(incumbent.hypothesis)
             if not self.physics.size(h).is_richer_than(incumbent.size) and self._is_allowed(h)
+            and self._may_win(h, incumbent)
         ]  # fmt: skip
         other.sort(key=lambda h: self.physics.size(h).parameters)
         return other[: self.settings.rivals]
@@ -360,7 +371,11 @@ class Search:
         seen, chosen = set[frozenset[object]](), list[Neighbour]()
         for n in sorted(others, key=lambda n: (n.difference > 1.0, -n.gain)):
             key = frozenset(n.hypothesis.terms)
-            if key not in seen and n.gain > -settings.rival_within:
+            if (
+                key not in seen
+                and n.gain > -settings.rival_within
+                and is_rival_of(incumbent, self.comparison, self.physics.size(n.hypothesis))
+            ):
                 seen.add(key)
                 chosen.append(n)
         carried = list(
@@ -403,10 +418,13 @@ class Search:
         distant = {
             t
             for h in confused(self.physics, incumbent.hypothesis)
+            if self._may_win(h, incumbent)
             for t in h.terms
-            if not t.law.nearly_linear and frozenset(h.terms) not in self._fitted_sets
+            if not t.law.nearly_linear and frozenset(h.terms) not in self._fits
         }
         at_own = np.isin(np.arange(len(self.physics.joints)), [t.joint for t in own])
+        if not distant - own:
+            return []
         starts = proposed_starts(
             self.physics, incumbent, incumbent, at_own, _DISTANT, distant - own, beside=False
         )
@@ -475,7 +493,7 @@ class Search:
     def _special_cases(self, model: Model, incumbent: Model) -> list[Model]:
         """Simulated models with special cases of laws that the incumbent lacks, simplest first."""
         shared = set(model.hypothesis.terms) & set(incumbent.hypothesis.terms)
-        known = {*self._fitted_sets, frozenset(incumbent.hypothesis.terms)}
+        known = {*self._fits, frozenset(incumbent.hypothesis.terms)}
         found, rest = dict[frozenset[Term], Hypothesis](), [model.hypothesis]
         while rest:
             for special in self.physics.special_cases(rest.pop()):
@@ -497,14 +515,19 @@ class Search:
         """A model fitted by simulation, then with the corrections of its own parameters."""
         if model.is_fitted:
             return model
-        start = model.hypothesis
+        start, terms = model.hypothesis, frozenset(model.hypothesis.terms)
+        known = self._fits.get(terms)
+        # A start that is no better than a fit of the same effects leads to that fit again.
+        if known is not None and known[0] is self.physics and known[1].score >= model.score:
+            return known[1]
         hypothesis, residual, jacobian = self.physics.fit(
             start, model.residual, self.settings.refinements, model.corrected_at
         )
         fitted = self._model(hypothesis, residual, model.origin, hypothesis)
         fitted = replace(fitted.with_jacobian(self.comparison, jacobian), is_fitted=True)
         self.pool.add(fitted)
-        self._fitted_sets.add(frozenset(hypothesis.terms))
+        if known is None or known[0] is not self.physics or fitted.score > known[1].score:
+            self._fits[terms] = self.physics, fitted
         return fitted
 
     def simulated(self, hypothesis: Hypothesis, origin: str = "earlier answer") -> Model:
