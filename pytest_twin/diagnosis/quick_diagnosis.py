@@ -1,28 +1,19 @@
-"""A quick diagnosis of one recording, in seconds: the single most likely effect.
+"""A quick diagnosis of one recording, in seconds: the first rounds of the search.
 
-It locates the missing force, fits each effect at that joint to a short part of the recording, and
-tests the best one on the whole recording. In contrast to :mod:`pytest_twin.diagnosis.diagnose` it
-neither combines effects nor uses several recordings.
+It locates the missing force, searches the effects at that joint on short parts of the recording,
+and tests them on the whole recording.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.diagnosis.first_order.beam_search import (
-    CandidateSensitivities,
-    NormalEquations,
-    ResidualView,
-    candidates,
-)
-from pytest_twin.diagnosis.first_order.bins import bins
-from pytest_twin.diagnosis.first_order.sensitivities import sensitivities
+from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.likely_effect import LikelyEffect, Place
 from pytest_twin.diagnosis.locate import (
     MissingForce,
@@ -35,21 +26,21 @@ from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel, applied_effects
 from pytest_twin.diagnosis.patched.replay import replay_whole
 from pytest_twin.diagnosis.prepare import NOISE, PreparedProblem
-from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.problem import CandidateMask, Problem
 from pytest_twin.diagnosis.quick_settings import QUICK
+from pytest_twin.diagnosis.search.physics import SimulatedPhysics
+from pytest_twin.diagnosis.search.posterior import AlternativeEffects, posterior
+from pytest_twin.diagnosis.search.search import Search, SearchOutcome
 from pytest_twin.diagnosis.smoothing import smooth_state
+from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
+from pytest_twin.effects import catalogue
 from pytest_twin.errors import SimulationError
-from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.deadline import CHECK, no_limit
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.estimation.least_squares import FittedModel, fit
-from pytest_twin.estimation.score import effective_samples, log_likelihood
 from pytest_twin.open_loop import replay
 from pytest_twin.realization import Realization
 from pytest_twin.trial import Trial
-
-Starts = dict[Term, FloatArray]
-"""Terms that are fitted together -> start values of their parameters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +48,8 @@ class QuickDiagnosis:
     """Result of a quick diagnosis.
 
     Attributes:
-        likely_effects: the most likely effect, then the most likely one for the joints that it does
-            not explain, and so on; empty if no effect is supported.
+        likely_effects: the most likely effects, that which explains most first; empty if none is
+            supported.
         unexplained: joints outside their tolerance that no likely effect explains.
         joint: joint with the largest missing force; None if no force exceeds the sensor noise.
         where: when and in which regime the error occurs.
@@ -107,34 +98,24 @@ def quick_diagnosis(
     force = compute_missing_force(whole.problem, before, whole.floor_parts[NOISE])
     causes = _likely_causes(force, size, must_explain)
     where = _locate(whole, examined, start, _force_excess(force, causes[:1]), causes[0])
-    likely_effects: list[LikelyEffect] = []
+    likely_effects: tuple[LikelyEffect, ...] = ()
     left = must_explain & (size > VERDICT.at_floor)
-    rounds = QUICK.most_rounds
-    while left.any() and rounds:
-        rounds -= 1
-        search = _EffectSearch(
-            realization,
-            patched,
-            examined,
-            whole,
-            before,
-            must_explain if not likely_effects else left,
-        )
+    if left.any():
+        own = [j for j in causes if must_explain[j]] or causes
+        parts = _parts_with_largest_force(whole.problem, examined, _force_excess(force, own))
+        setup = replace(ModelSetup.of(realization, patched), mask=_mask(whole.problem, causes))
+        searched = _search(setup, parts, whole.problem, must_explain)
+        # What was found within the time is tested.
+        token = CHECK.set(no_limit)
         try:
-            found = search.find_likely_effect(force, size)
-        except OutOfTime:
-            if not likely_effects:
-                raise
-            break
-        if found is None:
-            break
-        likely, after = found
-        likely_effects.append(likely)
-        left = left & ~_is_explained(before, after, joints)
+            likely_effects, after = _likely_effects(searched, whole.problem, before, must_explain)
+        finally:
+            CHECK.reset(token)
+        left &= ~_is_explained(before, after, joints)
     is_located = bool(force.strength[causes[0]] > 1.0)
     names = whole.problem.joints
     return QuickDiagnosis(
-        likely_effects=tuple(likely_effects),
+        likely_effects=likely_effects,
         unexplained=tuple(n for n, out in zip(names, left, strict=True) if out and n in failed),
         joint=names[causes[0]] if is_located else None,
         where=where,
@@ -273,179 +254,91 @@ def _start_of_largest_sum(time: FloatArray, excess: FloatArray, length: float) -
     return float(time[begin[int(np.argmax(summed[end] - summed[begin]))]])
 
 
-@dataclass(frozen=True, slots=True)
-class _EffectSearch:
-    """Search for the single most likely effect.
+def _mask(problem: Problem, causes: Sequence[int]) -> CandidateMask:
+    """Effects of the robot and of the joints ``causes`` that a short part shows.
 
-    Attributes:
-        patched: effects that a diagnosis wrote outside the MJCF.
-        examined: the trial, or its worst part.
-        whole: the problem over ``examined``.
-        before: (samples, signals) residual of the nominal model over ``examined``.
-        must_explain: (joints,) whether the error of a joint is to be explained.
+    A warm-up takes minutes.
     """
-
-    realization: Realization
-    patched: PatchedModel | None
-    examined: Trial
-    whole: PreparedProblem
-    before: FloatArray
-    must_explain: NDArray[np.bool_]
-
-    def find_likely_effect(
-        self, force: MissingForce, size: FloatArray
-    ) -> tuple[LikelyEffect, FloatArray] | None:
-        """The most likely effect, and the residual over ``examined`` with it.
-
-        None if no effect is supported.
-
-        Args:
-            size: (joints,) RMS error of the nominal model, in noise floors.
-        """
-        whole, must_explain = self.whole.problem, self.must_explain
-        causes = _likely_causes(force, size, must_explain)
-        own = [j for j in causes if must_explain[j]] or causes
-        parts = _parts_with_largest_force(whole, self.examined, _force_excess(force, own))
-        problem = _prepare(self.realization, parts[:1], parts[1:], self.patched).problem
-        # The same scales, so that parameters fitted to the part have the same values on the whole.
-        problem = replace(problem, scales=whole.scales, floor=whole.floor)
-        signals = np.flatnonzero(must_explain)
-        nominal = problem.residuals([EMPTY], problem.fit)[0]
-        tried = _select_candidates(problem, causes, nominal, signals)
-        if not tried:
-            return None
-        fitted, evidence = _fit_candidates(problem, tried, nominal, signals)
-        best = int(np.argmax(evidence))
-        after = whole.residuals([f.hypothesis for f in fitted], whole.fit)
-        removed_share = 1.0 - _squared(after[best], whole, must_explain) / _squared(
-            self.before, whole, must_explain
-        )
-        if not removed_share >= QUICK.removes:
-            return None
-        named = tried[best]
-        place = _place_of(problem, named)
-        places = [_place_of(problem, starts) for starts in tried]
-        # Forms of one law are the same effect. A candidate that contains the best one and more is
-        # no alternative to it.
-        same = np.array([p == place for p in places])
-        other = np.array([not _contains(starts, named) for starts in tried]) & ~same
-        posterior_share = np.exp(np.maximum(evidence - evidence.max(), -700.0)) * (same | other)
-        posterior_share /= posterior_share.sum()
-        explained = must_explain & _is_explained(self.before, after[best], len(must_explain))
-        left = np.array([_squared(r, whole, explained) for r in after])
-        floor = float(len(self.before) * explained.sum())
-        close = (left <= QUICK.clearly_worse * max(left[best], floor)) | (
-            posterior_share >= 1.0 - QUICK.most_confidence
-        )
-        order = np.argsort(-evidence, kind="stable")
-        close_alternatives = dict.fromkeys(places[i] for i in order if close[i] and other[i])
-        alternatives = tuple(close_alternatives)[: QUICK.most_alternatives]
-        effect = LikelyEffect(
-            place=place,
-            values=_reported_values(problem, fitted[best].hypothesis),
-            posterior_share=min(float(posterior_share[same].sum()), QUICK.most_confidence),
-            removed_share=float(removed_share),
-            alternatives=alternatives,
-            explained_joints=()
-            if must_explain.all()
-            else tuple(np.array(problem.joints)[must_explain].tolist()),
-            alternative_shares=tuple(
-                sum(float(s) for s, p in zip(posterior_share, places, strict=True) if p == place)
-                for place in alternatives
-            ),
-            fitted=applied_effects(fitted[best].hypothesis, problem.joints, problem.scales),
-        )
-        return effect, after[best]
+    effects = (name for name, law in catalogue().items() if not law.needs_temperature)
+    others = (n for j, n in enumerate(problem.joints) if j not in causes)
+    return CandidateMask(frozenset(effects), unchanged_joints=frozenset(others))
 
 
-def _select_candidates(
-    problem: Problem, causes: Sequence[int], nominal: FloatArray, signals: NDArray[np.int64]
-) -> list[Starts]:
-    """Candidates to be fitted: the best to first order, and those confused with the first one."""
-    terms = [
-        t
-        for t in candidates(problem)
-        # A short part does not show a warm-up, which takes minutes.
-        if (t.joint < 0 or t.joint in causes) and not t.law.needs_temperature
-    ]
-    # Only positions count: an error of the efforts may have another cause.
-    responses, mean = sensitivities(problem, terms, problem.fit, residual=nominal)
-    seen = [
-        replace(r, change=r.change[:, signals]) for r in responses if r.change[:, signals].any()
-    ]
-    binned = bins(problem, problem.fit)
-    left = mean[:, signals]
-    view = ResidualView(
-        left, np.empty((*left.shape, 0)), problem.signal_floor[signals], binned.lengths
-    )
-    equations = NormalEquations(view, CandidateSensitivities(seen))
-    chosen = list(equations.children(equations.base, QUICK.candidates))
-    if not chosen:
-        return []
-    first = seen[chosen[0][0]].term
-    chosen += [(at,) for at, response in enumerate(seen) if _are_confused(first, response.term)]
-    # An effect of the robot may be the same effect at each of its joints.
-    for robot in [seen[at].term for (at,) in chosen if seen[at].term.joint < 0]:
-        alike: dict[str, list[int]] = {}
-        for at, response in enumerate(seen):
-            if response.term.joint >= 0 and _are_confused(robot, response.term):
-                alike.setdefault(response.term.effect, []).append(at)
-        chosen += [tuple(joints) for joints in alike.values() if len(joints) > 1]
-    return [equations.structure(c).starts for c in dict.fromkeys(chosen)]
+def _search(
+    setup: ModelSetup,
+    parts: Sequence[Trial],
+    whole: Problem,
+    must_explain: NDArray[np.bool_],
+) -> SearchOutcome:
+    """The first rounds of the search on parts of a recording.
+
+    Parameters have the scales of the whole recording.
+    """
+    ignored = [n for n, must in zip(whole.joints, must_explain, strict=True) if not must]
+    trials = TrialSet(tuple(parts), (), (), unseen=frozenset(ignored))
+    prepared, trials = build_problem(setup, trials, [], scales=whole.scales)
+    return Search(SimulatedPhysics(setup, prepared, trials)).run(rounds=QUICK.rounds)
 
 
-def _are_confused(one: Term, other: Term) -> bool:
-    """Whether the catalogue lists two effects as confused, and they share a joint or the robot."""
-    same = one.joint == other.joint or min(one.joint, other.joint) < 0
-    return same and (other.effect in one.law.confused_with or one.effect in other.law.confused_with)
-
-
-def _contains(starts: Starts, named: Starts) -> bool:
-    """Whether a candidate contains ``named``: at more joints, or as a special case of its law."""
-    if named.keys() < starts.keys():
-        return True
-    (term,), (other,) = (list(starts)[:1], list(named)[:1])
-    special = term.law.special_cases({p.name: p.starts[0] for p in term.parameters})
-    return term.joint == other.joint and other.effect in special
-
-
-def _fit_candidates(
-    problem: Problem,
-    found: Sequence[Starts],
-    nominal: FloatArray,
-    signals: NDArray[np.int64],
-) -> tuple[list[FittedModel], FloatArray]:
-    """Candidates after a short fit, and their evidence relative to the nominal model.
+def _likely_effects(
+    searched: SearchOutcome, whole: Problem, before: FloatArray, must_explain: NDArray[np.bool_]
+) -> tuple[tuple[LikelyEffect, ...], FloatArray]:
+    """The effects of a search that remove much of the error, and the residual with them.
 
     Args:
-        nominal: (samples, signals) residual of the nominal model.
-        signals: columns of the residual that count.
+        whole: the problem of the examined recording.
+        before: (samples, signals) its residual with the nominal model.
+        must_explain: (joints,) whether the error of a joint is to be explained.
     """
-    left = nominal[:, signals]
-    mean_square = np.mean(left**2, axis=0)
-    floor = np.maximum(problem.signal_floor[signals], QUICK.coarse * np.sqrt(mean_square))
-    starts = [
-        reduce(lambda made, term: made.with_term(*term), terms.items(), EMPTY) for terms in found
-    ]
-    weights = np.zeros(nominal.shape[1])
-    weights[signals] = 1.0 / np.sqrt(mean_square + floor**2)
-    fitted = fit(problem, starts, weights, problem.fit, iterations=QUICK.iterations)
-    effective = effective_samples(left, problem.lengths(problem.fit))
-    penalty = 0.5 * np.log(max(float(effective.mean()), 2.0))
-    base = log_likelihood(left, floor, effective)
-    evidence = np.array([
-        log_likelihood(f.residual[:, signals], floor, effective) - base
-        - penalty * f.hypothesis.free_count
-        for f in fitted
-    ])  # fmt: skip
-    if len(problem.held_out):
-        hypotheses = [EMPTY, *(f.hypothesis for f in fitted)]
-        predicted = problem.residuals(hypotheses, problem.held_out)
-        without, *with_term = (r[:, signals] for r in predicted)
-        worth = effective_samples(without, problem.lengths(problem.held_out))
-        base = log_likelihood(without, floor, worth)
-        evidence += [log_likelihood(r, floor, worth) - base for r in with_term]
-    return fitted, np.nan_to_num(evidence, nan=-np.inf)
+    found = searched.incumbent.hypothesis
+    while True:
+        after, *without = (
+            residuals_everywhere(whole, h) for h in (found, *map(found.without, found.terms))
+        )
+        squared = _squared(after, whole, must_explain)
+        removed = {
+            t: 1.0 - squared / _squared(absent, whole, must_explain)
+            for t, absent in zip(found.terms, without, strict=True)
+        }
+        weakest = min(found.terms, key=removed.__getitem__, default=None)
+        if weakest is None or removed[weakest] >= QUICK.removes:
+            break
+        found = found.without(weakest)
+    shares, out = posterior(searched), list[LikelyEffect]()
+    for term, absent in zip(found.terms, without, strict=True):
+        explained = must_explain & _is_explained(absent, after, len(must_explain))
+        rivals = _rivals(shares.alternatives[term], whole)
+        alone = EMPTY.with_term_of(found, term)
+        out.append(
+            LikelyEffect(
+                place=_place_of(whole, [term]),
+                values=_reported_values(whole, alone),
+                posterior_share=min(shares.confidence[term], QUICK.most_confidence),
+                removed_share=removed[term],
+                alternatives=tuple(rivals),
+                explained_joints=()
+                if explained.all()
+                else tuple(np.array(whole.joints)[explained].tolist()),
+                alternative_shares=tuple(rivals.values()),
+                fitted=applied_effects(alone, whole.joints, whole.scales),
+            )
+        )
+    return tuple(sorted(out, key=lambda effect: -effect.removed_share)), after
+
+
+def _rivals(alternatives: Sequence[AlternativeEffects], problem: Problem) -> dict[Place, float]:
+    """The likeliest single effects that may act instead of one, with their shares."""
+    out = dict[Place, float]()
+    for alternative in alternatives:
+        is_likely = alternative.confidence >= 1.0 - QUICK.most_confidence
+        if is_likely and len({t.effect for t in alternative.new}) == 1:
+            out.setdefault(_place_of(problem, alternative.new), alternative.confidence)
+    return dict(list(out.items())[: QUICK.most_alternatives])
+
+
+def _place_of(problem: Problem, terms: Sequence[Term]) -> Place:
+    """The effect of some terms, and its joints."""
+    return terms[0].effect, tuple(problem.joints[t.joint] for t in terms if t.joint >= 0)
 
 
 def _squared(residual: FloatArray, problem: Problem, must_explain: NDArray[np.bool_]) -> float:
@@ -453,11 +346,6 @@ def _squared(residual: FloatArray, problem: Problem, must_explain: NDArray[np.bo
     positions = residual[:, : len(problem.joints)] / problem.floor
     value = float(np.sum(positions[:, must_explain] ** 2))
     return value if np.isfinite(value) else float("inf")
-
-
-def _place_of(problem: Problem, starts: Starts) -> Place:
-    (effect,) = {term.effect for term in starts}
-    return effect, tuple(problem.joints[term.joint] for term in starts if term.joint >= 0)
 
 
 def _reported_values(problem: Problem, hypothesis: Hypothesis) -> dict[str, tuple[float, str]]:

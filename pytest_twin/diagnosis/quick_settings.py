@@ -19,16 +19,11 @@ class QuickSettings:
         cause: missing force of a joint, as a share of the largest, from which its effects are
             tried: other joints only move because of it.
         most_joints: joints whose effects are tried.
-        candidates: models that are fitted by simulation.
-        iterations: steps of each fit.
         removes: share of the squared error that an effect must remove.
-        clearly_worse: factor on the squared error of the best model, or on the squared noise floor
-            where that is larger, up to which an alternative is listed.
         most_alternatives: alternatives that are listed.
-        most_rounds: searches, each at the joints that the effects before do not explain.
-        coarse: share of the nominal error below which the residual of a short fit supports no
-            effect.
+        rounds: rounds of the search, each of which accepts at most one model.
         most_confidence: greatest confidence: one stretch of one recording settles nothing.
+            Alternatives with the rest are listed.
         state_seconds: s over which the initial velocity is estimated.
     """
 
@@ -38,13 +33,9 @@ class QuickSettings:
     longest: float = 2.5
     cause: float = 0.4
     most_joints: int = 2
-    candidates: int = 5
-    iterations: int = 3
     removes: float = 0.3
-    clearly_worse: float = 3.0
     most_alternatives: int = 2
-    most_rounds: int = 3
-    coarse: float = 0.05
+    rounds: int = 2
     most_confidence: float = 0.9
     state_seconds: float = 0.06
 

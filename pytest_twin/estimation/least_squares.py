@@ -124,7 +124,7 @@ def fit(
             if decrease > _CONVERGED * cost[i] or not (is_exact[i] or is_predicted):
                 unconverged.append(i)
             if jacobians is not None or is_predicted:
-                known[i] = _broyden_update(known[i], new.theta - current[i].theta, change)
+                known[i] = broyden_update(known[i], new.theta - current[i].theta, change)
                 is_trusted[i] = True
             elif decrease > 0.0 or not is_exact[i]:
                 known[i] = None
@@ -164,9 +164,7 @@ def _is_near(decrease: float, predicted: float) -> bool:
     return abs(decrease - predicted) <= _PREDICTED_WITHIN * predicted
 
 
-def _broyden_update(
-    jacobian: FloatArray | None, step: FloatArray, change: FloatArray
-) -> FloatArray:
+def broyden_update(jacobian: FloatArray | None, step: FloatArray, change: FloatArray) -> FloatArray:
     """Broyden's rank-one update: the Jacobian then reproduces ``change`` for ``step``."""
     assert jacobian is not None
     length = float(step @ step)

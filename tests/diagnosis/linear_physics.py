@@ -149,6 +149,9 @@ class LinearPhysics:
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         return self.refused(hypothesis)
 
+    def other_friction_constraint(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+        return iter(())
+
     def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
         return iter(())
 

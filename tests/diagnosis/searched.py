@@ -24,6 +24,9 @@ class ProblemPhysics(SimulatedPhysics):
         self.candidates = tuple(candidates(problem))
         self.recorded = RecordedRange.of(problem)
 
+    def other_friction_constraint(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+        return iter(())
+
     def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
         """No setting of the simulation is open."""
         return iter(())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -134,6 +134,7 @@ class Pool:
     _simulated: dict[frozenset[object], PooledModel] = field(default_factory=dict)
     _residuals: dict[frozenset[object], NDArray[np.float32]] = field(default_factory=dict)
     _linearized: dict[frozenset[object], PooledModel] = field(default_factory=dict)
+    _around: frozenset[object] = frozenset()
 
     def add(self, model: Model) -> None:
         """Keep a simulated model, if it is the best of its set of terms so far."""
@@ -150,14 +151,21 @@ class Pool:
                 least = min(self._residuals, key=lambda k: self._simulated[k].evidence)
                 del self._residuals[least]
 
-    def add_linearized(
-        self, hypothesis: Hypothesis, size: Size, evidence: float, difference: float
-    ) -> None:
-        """Keep a rival that was fitted in the linearized motion only."""
-        key = frozenset(hypothesis.terms)
-        known = self._linearized.get(key)
-        if np.isfinite(evidence) and (known is None or evidence > known.evidence):
-            self._linearized[key] = PooledModel(hypothesis, size, evidence, False, difference)
+    def set_linearized(self, around: Model, rivals: Iterable[PooledModel]) -> None:
+        """Keep rivals that were fitted in the motion linearized around a model only.
+
+        They take the place of those of earlier linearizations.
+
+        Args:
+            around: the model. The evidence of a rival is relative to it.
+        """
+        own = evidence_of(self.comparison, around.mean_square, around.size)
+        self._around, self._linearized = frozenset(around.hypothesis.terms), {}
+        for rival in rivals:
+            key, evidence = frozenset(rival.hypothesis.terms), own + rival.evidence
+            known = self._linearized.get(key)
+            if np.isfinite(evidence) and (known is None or evidence > known.evidence):
+                self._linearized[key] = replace(rival, evidence=evidence)
 
     def best_simpler(self, incumbent: Model) -> Hypothesis | None:
         """The best simulated set with fewer effects, of which the incumbent lacks one."""
@@ -180,7 +188,7 @@ class Pool:
                 yield replace(pooled, difference=known)
         for key, pooled in self._linearized.items():
             if key != own and key not in self._simulated:
-                yield pooled
+                yield pooled if own == self._around else replace(pooled, difference=None)
 
     def _difference(self, residual: NDArray[np.float32], incumbent: Model) -> float:
         change = np.sqrt(np.mean((residual - incumbent.residual) ** 2, axis=0))
@@ -196,4 +204,4 @@ def is_rival_of(incumbent: Model, comparison: Comparison, size: Size) -> bool:
     """Whether a model of a size that left noise alone would have odds that matter."""
     own = evidence_of(comparison, incumbent.mean_square, incumbent.size)
     largest = evidence_of(comparison, np.zeros_like(comparison.floor), size)
-    return largest - own > np.log(LEAST_ODDS)
+    return bool(largest - own > np.log(LEAST_ODDS))

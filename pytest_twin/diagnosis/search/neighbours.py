@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,7 @@ from pytest_twin.diagnosis.search.linearized_view import View
 from pytest_twin.diagnosis.search.model import Model
 from pytest_twin.diagnosis.search.physics import Physics
 from pytest_twin.diagnosis.search.settings import SearchSettings
-from pytest_twin.estimation.comparison import Comparison
+from pytest_twin.estimation.comparison import Comparison, Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 _FIRST_ITERATIONS, _MORE_ITERATIONS = 1, 2
@@ -96,6 +96,7 @@ def neighbours(
     incumbent: Model,
     view: View,
     settings: SearchSettings,
+    is_possible: Callable[[Size], bool],
 ) -> list[Neighbour]:
     """Neighbours of the incumbent, the most promising first.
 
@@ -104,10 +105,11 @@ def neighbours(
         comparison: by which they are scored.
         incumbent: the model that may be replaced.
         view: the motion linearized around it.
+        is_possible: whether a model of a size may replace the incumbent or be its rival.
     """
     own = incumbent.hypothesis
     exchanged = dict[_Form, LinearizedFit]()
-    for fit in _exchanges(physics, incumbent, view, settings):
+    for fit in _exchanges(physics, incumbent, view, settings, is_possible):
         exchanged.setdefault(form_of(fit.hypothesis), fit)
     different = {form: fit.hypothesis for form, fit in exchanged.items()}
     for hypothesis in itertools.chain(
@@ -117,6 +119,7 @@ def neighbours(
     ):
         if has_given(hypothesis, physics.given):
             different.setdefault(form_of(hypothesis), hypothesis)
+    different = {f: h for f, h in different.items() if is_possible(physics.size(h))}
     linear, seen = view.linear, view.residual
     of_incumbent = comparison.log_likelihood(seen.mean_square) - comparison.penalty(incumbent.size)
 
@@ -192,7 +195,11 @@ def removals(own: Hypothesis, given: Collection[Term] = ()) -> list[tuple[Term, 
 
 
 def _exchanges(
-    physics: Physics, incumbent: Model, view: View, settings: SearchSettings
+    physics: Physics,
+    incumbent: Model,
+    view: View,
+    settings: SearchSettings,
+    is_possible: Callable[[Size], bool],
 ) -> Iterator[LinearizedFit]:
     """The incumbent with terms removed and others added, by the normal equations."""
     own, seen = incumbent.hypothesis, view.residual
@@ -214,6 +221,9 @@ def _exchanges(
                 structure = equations.structure(chosen)
                 yield LinearizedFit(rest.with_terms(structure.starts), structure.residual)
         most = min(len(removed) + 1, 2) if removed else settings.added
+        size = physics.size(rest)
+        while most and not is_possible(Size(size.effects + most, size.parameters + most)):
+            most -= 1
         width = settings.beam // 2 if removed else settings.beam
         beam = BeamSearch(
             width, most, settings.earns,

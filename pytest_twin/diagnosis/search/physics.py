@@ -45,14 +45,22 @@ from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
-from pytest_twin.estimation.least_squares import FittedModel, fit
+from pytest_twin.estimation.least_squares import (
+    FittedModel,
+    broyden_update,
+    fit,
+    propose_step,
+    weighted_cost,
+)
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.trial import Trial
 
-_CORRECTED_FITS = 2
-"""Largest number of fits with the corrections at the parameters of the fit before."""
+_OWN_STEPS = 4
+"""Largest number of steps of a fit with the corrections at its own parameters."""
+_DAMPING = 1e-4
+"""Damping of these steps, relative to the diagonal of the normal matrix."""
 _SETTLED = 0.1
-"""Change of the corrections, in noise floors, below which a fit is final."""
+"""Change of the prediction by a step, in noise floors, below which a fit is final."""
 _SMALLEST_NOISE = 1e-9
 """Smallest noise of a position, rad or m."""
 
@@ -151,6 +159,9 @@ class Physics(Protocol):
 
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         """Effects with impossible totals or outside the recorded range, and the reason of each."""
+
+    def other_friction_constraint(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+        """The same robot and samples with the other friction constraint, if friction is dry."""
 
     def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
         """The same robot and samples with each other setting of the simulation that is open.
@@ -252,7 +263,7 @@ class SimulatedPhysics:
         weights = here.weights(np.mean(residual**2, axis=0))
         (fitted,) = fit(here, [hypothesis], weights, here.fit, iterations=iterations)
         if not self.given:
-            return self._with_own_corrections(fitted, weights, iterations)
+            return self._with_own_corrections(fitted, weights)
         found = fitted.hypothesis
         if has_excessive_back_emf(self.problem, found):
             # The back-EMF follows the damping: at a fixed bound it would hold the damping.
@@ -266,26 +277,25 @@ class SimulatedPhysics:
         return found, last, fitted.jacobian
 
     def _with_own_corrections(
-        self, fitted: FittedModel, weights: FloatArray, iterations: int
+        self, fitted: FittedModel, weights: FloatArray
     ) -> tuple[Hypothesis, FloatArray, FloatArray]:
-        """A fit continued with the corrections at its parameters, until these settle.
+        """A fit continued with the corrections at its own parameters, until it settles.
 
-        The Jacobian is kept: the corrections change the prediction little.
+        The corrections change with the parameters. A quasi-Newton step on residuals that each have
+        their own corrections needs one of them, where a fit with fixed corrections needs several.
         """
-        for _ in range(_CORRECTED_FITS):
-            corrected = self.problem.at(fitted.hypothesis)
-            (residual,) = corrected.residuals([fitted.hypothesis], corrected.fit)
-            change = np.sqrt(np.mean((residual - fitted.residual) ** 2, axis=0))
-            if not (change > _SETTLED * self.floor).any():
+        best, jacobian = fitted.hypothesis, fitted.jacobian
+        (residual,) = self.simulate([best], best)
+        for _ in range(_OWN_STEPS):
+            new = propose_step(best, residual, jacobian, weights, _DAMPING)
+            change = jacobian @ (new.theta - best.theta)
+            if not (np.sqrt(np.mean(change**2, axis=0)) > _SETTLED * self.floor).any():
                 break
-            (fitted,) = fit(
-                corrected, [fitted.hypothesis], weights, corrected.fit,
-                iterations=iterations, jacobians=[fitted.jacobian],
-            )  # fmt: skip
-        else:
-            corrected = self.problem.at(fitted.hypothesis)
-            (residual,) = corrected.residuals([fitted.hypothesis], corrected.fit)
-        return fitted.hypothesis, residual, fitted.jacobian
+            (tried,) = self.simulate([new], new)
+            jacobian = broyden_update(jacobian, new.theta - best.theta, residual - tried)
+            if weighted_cost(tried, weights) < weighted_cost(residual, weights):
+                best, residual = new, tried
+        return best, residual, jacobian
 
     def linearize(self, hypothesis: Hypothesis, residual: FloatArray, jacobian: FloatArray) -> View:
         """As :meth:`Physics.linearize`."""
@@ -391,6 +401,12 @@ class SimulatedPhysics:
         is_passive = not self.given or not has_excessive_back_emf(self.problem, hypothesis)
         return is_passive and not self.refusals(hypothesis)
 
+    def other_friction_constraint(self, hypothesis: Hypothesis) -> Iterator[Physics]:
+        """As :meth:`Physics.other_friction_constraint`."""
+        if has_dry_friction(self.problem, hypothesis):
+            creeps = self.setup.has_friction_creep
+            yield from self._with(replace(self.setup, has_friction_creep=not creeps))
+
     def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
         """As :meth:`Physics.other_settings`.
 
@@ -405,8 +421,7 @@ class SimulatedPhysics:
         if is_explained:
             return
         setup = self.setup
-        if has_dry_friction(self.problem, hypothesis):
-            yield from self._with(replace(setup, has_friction_creep=not setup.has_friction_creep))
+        yield from self.other_friction_constraint(hypothesis)
         noise = np.maximum(self.prepared.floor_parts[NOISE], _SMALLEST_NOISE)
         steps = discretization_rms(self.problem.at(hypothesis))
         is_visible = bool((steps > VERDICT.identifiable * noise).any())

@@ -169,7 +169,7 @@ def _log_odds_of(found: SearchOutcome) -> Callable[[PooledModel], float]:
     incumbent, of_incumbent = found.incumbent, _evidence_of_incumbent(found)
 
     def log_odds(rival: PooledModel) -> float:
-        value = rival.evidence - of_incumbent if rival.is_simulated else rival.evidence
+        value = rival.evidence - of_incumbent
         is_richer = rival.size.is_richer_than(incumbent.size)
         if is_richer:
             # The search has decided that the richer set predicts no better.

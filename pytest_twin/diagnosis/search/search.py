@@ -7,7 +7,7 @@ limit of time or simulations ends the sequence earlier and changes nothing else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.search.accept import accepts
 from pytest_twin.diagnosis.search.fit import fit_along_motion, with_linearized_jacobians
 from pytest_twin.diagnosis.search.linearized_view import View
-from pytest_twin.diagnosis.search.model import Acceptance, Model, Pool, is_rival_of
+from pytest_twin.diagnosis.search.model import Acceptance, Model, Pool, PooledModel, is_rival_of
 from pytest_twin.diagnosis.search.neighbours import (
     Neighbour,
     Quota,
@@ -29,7 +29,7 @@ from pytest_twin.diagnosis.search.neighbours import (
 from pytest_twin.diagnosis.search.physics import Physics
 from pytest_twin.diagnosis.search.settings import SETTINGS, SearchSettings
 from pytest_twin.diagnosis.verdict_settings import VERDICT
-from pytest_twin.estimation.comparison import Comparison
+from pytest_twin.estimation.comparison import Comparison, Size
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
@@ -97,6 +97,7 @@ class Search:
         )
         self.pool = Pool(self.comparison)
         self._passed: Model | None = None
+        self._has_compared_constraints = False
         self._fits = dict[frozenset[Term], tuple[Physics, Model]]()
         nominal = self._model(EMPTY, residual, "nominal model", EMPTY)
         self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
@@ -128,7 +129,7 @@ class Search:
                 scores.append(incumbent.score)
             for _ in range(self.settings.rounds if rounds is None else rounds):
                 self.check(incumbent)
-                better = self._round(incumbent)
+                better = self._friction_constraint(incumbent) or self._round(incumbent)
                 if better is None:
                     is_complete = True
                     break
@@ -142,13 +143,17 @@ class Search:
             is_complete,
         )  # fmt: skip
 
-    def _may_win(self, hypothesis: Hypothesis, incumbent: Model) -> bool:
-        """Whether a model that left noise alone would replace the incumbent.
+    def _may_win(self, size: Size, incumbent: Model) -> bool:
+        """Whether a model of a size that left noise alone would replace the incumbent.
 
         No score is above the penalty of the model: residuals below the noise floor count as equal.
+        Where the incumbent leaves only noise, a richer model would fit noise.
         """
-        size = self.physics.size(hypothesis)
-        needed = self.settings.earns if size.is_richer_than(incumbent.size) else 0.0
+        needed = 0.0
+        if size.is_richer_than(incumbent.size):
+            if not self._exceeds(incumbent, VERDICT.identifiable):
+                return False
+            needed = self.settings.earns
         return -self.comparison.penalty(size) > incumbent.score + needed
 
     def _is_allowed(self, hypothesis: Hypothesis) -> bool:
@@ -181,6 +186,15 @@ class Search:
             return self._accept_one(None, models, incumbent)
         view = self._linearize(incumbent)
         proposals = self._propose(incumbent, view)
+        self.pool.set_linearized(
+            incumbent,
+            (
+                PooledModel(
+                    n.hypothesis, self.physics.size(n.hypothesis), n.gain, False, n.difference
+                )
+                for n in proposals
+            ),
+        )
         chosen = self._select(proposals, incumbent)
         models = self._simulate([n.hypothesis for n in chosen], incumbent.corrected_at, "neighbour")
         models += self._simulate(
@@ -220,17 +234,38 @@ class Search:
         models = self._fit_best(view, models, simpler, self.settings.finalists)
         return self._accept_one(view, models, incumbent)
 
+    def _friction_constraint(self, incumbent: Model) -> Model | None:
+        """The first incumbent with dry friction, with the other friction constraint.
+
+        Whether dry friction creeps is a choice of the simulation that made the recordings. Further
+        effects would explain the errors of a wrong one.
+        """
+        own = incumbent.hypothesis
+        is_dry = any(t.dry_level is not None for t in own.terms)
+        if self._has_compared_constraints or not is_dry:
+            return None
+        self._has_compared_constraints = True
+        if not self._exceeds(incumbent, VERDICT.identifiable):
+            return None
+        return self._with_setting(self.physics.other_friction_constraint(own), [own], incumbent)
+
     def _other_settings(self, incumbent: Model) -> Model | None:
-        """The incumbent, or less, with another setting of the simulation, if it explains more.
+        """The incumbent, or less, with another setting of the simulation, if it explains more."""
+        own = incumbent.hypothesis
+        reduced = (own.without(t) for t in own.terms if len(own.terms) > 1)
+        is_explained = not self._exceeds(incumbent, VERDICT.identifiable)
+        others = self.physics.other_settings(own, is_explained=is_explained)
+        return self._with_setting(others, [own, *filter(self._is_allowed, reduced)], incumbent)
+
+    def _with_setting(
+        self, others: Iterable[Physics], hypotheses: Sequence[Hypothesis], incumbent: Model
+    ) -> Model | None:
+        """The best of some hypotheses with another setting, if it explains more.
 
         The setting is then that of all further models.
         """
-        own = incumbent.hypothesis
-        reduced = (own.without(t) for t in own.terms if len(own.terms) > 1)
-        hypotheses = [own, *filter(self._is_allowed, reduced)]
-        tried = list[tuple[Physics, Model]]()
-        is_explained = not self._exceeds(incumbent, VERDICT.identifiable)
-        for physics in self.physics.other_settings(own, is_explained=is_explained):
+        own, tried = incumbent.hypothesis, list[tuple[Physics, Model]]()
+        for physics in others:
             residuals = physics.simulate(hypotheses, own)
             tried += [
                 (physics, self._model(h, r, "setting of the simulation", own))
@@ -259,7 +294,11 @@ class Search:
     def _propose(self, incumbent: Model, view: View) -> list[Neighbour]:
         """Neighbours; with simulated candidates where the linearization explains nothing."""
         physics, settings = self.physics, self.settings
-        proposals = neighbours(physics, self.comparison, incumbent, view, settings)
+
+        def is_possible(size: Size) -> bool:
+            return self._may_win(size, incumbent) or is_rival_of(incumbent, self.comparison, size)
+
+        proposals = neighbours(physics, self.comparison, incumbent, view, settings, is_possible)
         gains = [n.gain for n in proposals if not n.has_elastic]
         if (
             view.linear is not None
@@ -269,7 +308,9 @@ class Search:
             simulated_view = physics.view_by_simulation(
                 incumbent.hypothesis, incumbent.residual, _jacobian_of(incumbent), 4
             )
-            proposals += neighbours(physics, self.comparison, incumbent, simulated_view, settings)
+            proposals += neighbours(
+                physics, self.comparison, incumbent, simulated_view, settings, is_possible
+            )
         return proposals
 
     def _select(self, proposals: Sequence[Neighbour], incumbent: Model) -> list[Neighbour]:
@@ -279,7 +320,9 @@ class Search:
         removed effect had to earn its place, and its removal gets the same amount.
         """
         settings, count = self.settings, len(incumbent.hypothesis.terms)
-        proposals = [n for n in proposals if self._may_win(n.hypothesis, incumbent)]
+        proposals = [
+            n for n in proposals if self._may_win(self.physics.size(n.hypothesis), incumbent)
+        ]
 
         def rank(neighbour: Neighbour) -> float:
             fewer = max(count - len(neighbour.hypothesis.terms), 0)
@@ -298,7 +341,7 @@ class Search:
         other = [
             h for h in self.physics.rewrites(incumbent.hypothesis)
             if not self.physics.size(h).is_richer_than(incumbent.size) and self._is_allowed(h)
-            and self._may_win(h, incumbent)
+            and self._may_win(self.physics.size(h), incumbent)
         ]  # fmt: skip
         other.sort(key=lambda h: self.physics.size(h).parameters)
         return other[: self.settings.rivals]
@@ -347,10 +390,7 @@ class Search:
         return self._fit_best(view, started, incumbent, 3)
 
     def _rivals(self, view: View, proposals: Sequence[Neighbour], incumbent: Model) -> list[Model]:
-        """Alternatives to the effects of the incumbent, simulated and fitted, for the confidence.
-
-        Those that are not simulated enter the pool with their linearized evidence.
-        """
+        """Alternatives to the effects of the incumbent, simulated and fitted."""
         settings = self.settings
         simpler = self._simulate(
             self._without_given(incumbent.hypothesis), incumbent.corrected_at, "rival"
@@ -364,10 +404,6 @@ class Search:
         if not own:
             return []
         others = [n for n in proposals if not own <= set(n.hypothesis.terms)]
-        for n in others:
-            self.pool.add_linearized(
-                n.hypothesis, self.physics.size(n.hypothesis), n.gain, n.difference
-            )
         seen, chosen = set[frozenset[object]](), list[Neighbour]()
         for n in sorted(others, key=lambda n: (n.difference > 1.0, -n.gain)):
             key = frozenset(n.hypothesis.terms)
@@ -418,7 +454,7 @@ class Search:
         distant = {
             t
             for h in confused(self.physics, incumbent.hypothesis)
-            if self._may_win(h, incumbent)
+            if self._may_win(self.physics.size(h), incumbent)
             for t in h.terms
             if not t.law.nearly_linear and frozenset(h.terms) not in self._fits
         }
