@@ -22,7 +22,7 @@ SEARCH_SHARE = 0.25
 """Share of the time limit that questions about the signals leave for the search."""
 MAX_SIMULATIONS = 1200
 """Largest number of simulations of all data for all searches of a diagnosis: four times the limit
-of one search. A case with one joint needs 170 to 830."""
+of one search. A case with one joint needs 60 to 270."""
 
 
 class Budget:

@@ -83,7 +83,8 @@ def quick_diagnosis(
         OutOfTime: the time is over before any effect was found.
     """
     examined, start = _worst_part(realization, trial, patched, failed)
-    whole = _prepare(realization, [examined], [], patched)
+    setup = ModelSetup.of(realization, patched)
+    whole = setup.prepare([examined], [])
     before = whole.problem.residuals([EMPTY], whole.problem.fit)[0]
     if not np.isfinite(before).all():
         raise SimulationError(
@@ -103,8 +104,9 @@ def quick_diagnosis(
     if left.any():
         own = [j for j in causes if must_explain[j]] or causes
         parts = _parts_with_largest_force(whole.problem, examined, _force_excess(force, own))
-        setup = replace(ModelSetup.of(realization, patched), mask=_mask(whole.problem, causes))
-        searched = _search(setup, parts, whole.problem, must_explain)
+        # A short part does not show the time step of a simulation that made it.
+        masked = replace(setup, mask=_mask(whole.problem, causes), is_of_robot=True)
+        searched = _search(masked, parts, whole.problem, must_explain)
         # What was found within the time is tested.
         token = CHECK.set(no_limit)
         try:
@@ -181,16 +183,6 @@ def _worst_part(
     off = off / np.maximum(np.sqrt(np.mean(off**2, axis=0)), 1e-12)
     start = _start_of_largest_sum(trial.time, (off**2).sum(axis=1), QUICK.looked_at)
     return cut_trial(trial, start, start + QUICK.looked_at), start
-
-
-def _prepare(
-    realization: Realization,
-    fit: Sequence[Trial],
-    aside: Sequence[Trial],
-    patched: PatchedModel | None,
-) -> PreparedProblem:
-    """The problem of fitting ``fit`` and predicting ``aside``."""
-    return ModelSetup.of(realization, patched).prepare(fit, aside)
 
 
 def _must_explain(joints: Sequence[str], failed: Collection[str]) -> NDArray[np.bool_]:

@@ -28,7 +28,8 @@ WORSE = 1.1
 """Largest ratio of the residual to that with the true parameters."""
 SAMPLE = ("coulomb_friction", "torque_saturation", "velocity_feedforward")
 NO_SLOPE = "watchdog_timeout"
-"""No slope leads to its time: a simulated drive switches off at a step. Its starts miss it."""
+"""No slope leads to its time where the drive is off for the end of each rest only: other starts act
+never, or for much longer."""
 SEEDS = 5
 """Draws among which the first is taken that excites the law."""
 

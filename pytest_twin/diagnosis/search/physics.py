@@ -286,7 +286,7 @@ class SimulatedPhysics:
         """
         best, jacobian = fitted.hypothesis, fitted.jacobian
         (residual,) = self.simulate([best], best)
-        for _ in range(_OWN_STEPS):
+        for _ in range(_OWN_STEPS if best.terms else 0):
             new = propose_step(best, residual, jacobian, weights, _DAMPING)
             change = jacobian @ (new.theta - best.theta)
             if not (np.sqrt(np.mean(change**2, axis=0)) > _SETTLED * self.floor).any():
