@@ -46,7 +46,6 @@ from pytest_twin.diagnosis.verdict_settings import VERDICT
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import (
-    FittedModel,
     broyden_update,
     fit,
     propose_step,
@@ -262,8 +261,9 @@ class SimulatedPhysics:
         here = self.problem.at(corrected_at)
         weights = here.weights(np.mean(residual**2, axis=0))
         (fitted,) = fit(here, [hypothesis], weights, here.fit, iterations=iterations)
-        if not self.given:
-            return self._with_own_corrections(fitted, weights)
+        settled = self._with_own_corrections(fitted.hypothesis, fitted.jacobian, weights)
+        if not self.given or self._is_within_totals(settled[0]):
+            return settled
         found = fitted.hypothesis
         if has_excessive_back_emf(self.problem, found):
             # The back-EMF follows the damping: at a fixed bound it would hold the damping.
@@ -272,19 +272,24 @@ class SimulatedPhysics:
             found = with_largest_back_emf(self.problem, fitted.hypothesis)
         # A negative total shows that a given effect compensates for one that is missing.
         found = found.with_theta(without_negative_totals(self.problem, found))
-        corrected = self.problem.at(found)
-        (last,) = corrected.residuals([found], corrected.fit)
+        (last,) = self.simulate([found], found)
         return found, last, fitted.jacobian
 
+    def _is_within_totals(self, hypothesis: Hypothesis) -> bool:
+        """Whether no total of model and effects is negative, and no drive makes energy."""
+        is_passive = not has_excessive_back_emf(self.problem, hypothesis)
+        possible = without_negative_totals(self.problem, hypothesis)
+        return is_passive and np.array_equal(possible, hypothesis.theta)
+
     def _with_own_corrections(
-        self, fitted: FittedModel, weights: FloatArray
+        self, start: Hypothesis, jacobian: FloatArray, weights: FloatArray
     ) -> tuple[Hypothesis, FloatArray, FloatArray]:
         """A fit continued with the corrections at its own parameters, until it settles.
 
         The corrections change with the parameters. A quasi-Newton step on residuals that each have
         their own corrections needs one of them, where a fit with fixed corrections needs several.
         """
-        best, jacobian = fitted.hypothesis, fitted.jacobian
+        best = start
         (residual,) = self.simulate([best], best)
         for _ in range(_OWN_STEPS if best.terms else 0):
             new = propose_step(best, residual, jacobian, weights, _DAMPING)
