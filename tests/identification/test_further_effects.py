@@ -144,16 +144,7 @@ def test_the_drive_stage_adds_nothing_where_the_drive_is_as_in_the_model(tmp_pat
         (partial(limited, 1.0), "torque_saturation", "limit", 1.0),
         (partial(with_dead_zone, 0.15), "dead_zone", "width", 0.15 / NOMINAL["kp"]),
         (partial(limited_by_speed, 1.5, 3.0), "torque_speed_limit", "no_load_speed", 3.0),
-        pytest.param(
-            partial(with_rolloff, 2.0),
-            "torque_rolloff",
-            "knee",
-            2.0,
-            marks=[
-                pytest.mark.nightly,
-                pytest.mark.xfail(reason="a gain of the servo is kept beside the roll-off"),
-            ],
-        ),
+        (partial(with_rolloff, 2.0), "torque_rolloff", "knee", 2.0),
         (partial(with_lag, 0.02), "actuator_lag", "time_constant", 0.02),
     ],
     ids=["limit 0.6", "limit 1.0", "dead zone", "speed limit", "roll-off", "lag"],
