@@ -362,17 +362,18 @@ def _with_special_cases(
 def _with_settings(
     physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool
 ) -> SearchOutcome:
-    """The outcome with a setting of a drive where a property of the motor predicts the same.
+    """The outcome with a setting of a drive where a property of the motor predicts no better.
 
-    A gain is set to another value more often than a torque constant is wrong. Both remain equally
-    likely.
+    A gain is set to another value more often than a torque constant is wrong, and to values that
+    no torque constant has. Where both predict the same, they remain equally likely.
     """
     model = found.incumbent
     for restated in as_settings(physics.problem, model.hypothesis):
         setting = _refit(physics, found, restated, is_late=is_late)
         change = np.sqrt(np.mean((setting.residual - model.residual) ** 2, axis=0))
         alike = bool((change <= SAME_PREDICTION * physics.floor).all())
-        if alike and not setting.size.is_richer_than(model.size):
+        is_as_good = alike or setting.score > model.score
+        if is_as_good and not setting.size.is_richer_than(model.size):
             found.pool.add(model)
             return _with_settings(physics, replace(found, incumbent=setting), is_late=is_late)
     return found
