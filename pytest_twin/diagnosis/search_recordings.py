@@ -31,6 +31,7 @@ from pytest_twin.diagnosis.search.posterior import (
 )
 from pytest_twin.diagnosis.search.report_rules import rejections
 from pytest_twin.diagnosis.search.search import Search, SearchOutcome
+from pytest_twin.diagnosis.search.settings import SETTINGS
 from pytest_twin.diagnosis.search.simplification import as_settings
 from pytest_twin.diagnosis.search_result import SearchResult, build_result
 from pytest_twin.diagnosis.simulated_recordings import with_detected_timestep
@@ -58,6 +59,8 @@ _LAST_ITERATIONS = 8
 """Iterations of the last fit; one that has converged stops earlier."""
 _REFIT_ITERATIONS = 3
 """Iterations of a refit without one effect, which starts with the Jacobian of all effects."""
+_LATE_ITERATIONS = 6
+"""Iterations of a fit after the limit: without an effect, others change by its whole amount."""
 _LOWER_FLOORS = 2
 """Largest number of searches with a lower noise floor."""
 _WHOLE_SHARE = 0.4
@@ -318,7 +321,10 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
         found = replace(found, incumbent=_refit(physics, found, start, is_late=is_late))
         best = best_named(found, _inexpressible, physics.is_possible)
         if best is not found.incumbent.hypothesis:
-            found = replace(found, incumbent=_refit(physics, found, best, is_late=is_late))
+            named = _refit(physics, found, best, is_late=is_late)
+            # Few steps may not reach the values that a model has without an effect.
+            if not is_late or named.score > found.incumbent.score - SETTINGS.earns:
+                found = replace(found, incumbent=named)
         found = _with_special_cases(physics, found, is_late=is_late)
         found = _with_settings(physics, found, is_late=is_late)
         model = found.incumbent
@@ -393,7 +399,7 @@ def _refit(
         return known
     (residual,) = physics.simulate([start], start)
     hypothesis, residual, jacobian = physics.fit(
-        start, residual, 1 if is_late else _LAST_ITERATIONS, start
+        start, residual, _LATE_ITERATIONS if is_late else _LAST_ITERATIONS, start
     )
     size = physics.size(hypothesis)
     model = Model.of(found.comparison, hypothesis, residual, size, "report", hypothesis)

@@ -281,7 +281,7 @@ class _Maker:
         for joint in copies:
             self.checks.mark("copied", topic, joint, time[0], time[-1], "copies of its commands")
         self.note_twice(topic, time)
-        self.note_twice(commands.series.topic, command_time)
+        self.note_twice(commands.series.topic, command_time, own)
         self.checks.note_gaps(stamps_of_densest_joint(time, np.isfinite(position)), topic)
         if not commands.series.from_trajectories:
             # A trajectory needs no setpoints while it holds or moves at a constant rate.
@@ -505,9 +505,17 @@ class _Maker:
             "stamps go back",
         )  # fmt: skip
 
-    def note_twice(self, topic: str, time: FloatArray) -> None:
-        """Mark stamps of more than one message, and note many of them."""
-        twice = np.flatnonzero(np.diff(time) == 0) + 1
+    def note_twice(
+        self, topic: str, time: FloatArray, own: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Mark stamps of more than one message of a joint, and note many of them.
+
+        Args:
+            own: (n, j) whether a message contains each joint; None for all.
+        """
+        of_joint = [np.arange(len(time))] if own is None else [np.flatnonzero(c) for c in own.T]
+        later = [rows[1:][np.diff(time[rows]) == 0] for rows in of_joint]
+        twice = np.unique(np.concatenate(later))
         self.checks.mark_runs("duplicate_stamp", topic, None, time, twice, "stamps occur twice")
         if len(twice) > _FEW_TWICE * len(time):
             interval = float(np.median(np.diff(np.unique(time)))) if time[-1] > time[0] else 0.0

@@ -57,6 +57,10 @@ class LinearPhysics:
         return np.full(len(self.joints), FLOOR)
 
     @property
+    def noise(self) -> FloatArray:
+        return self.floor
+
+    @property
     def is_linearizable(self) -> bool:
         return True
 

@@ -138,6 +138,7 @@ def test_messages_of_different_joints_with_equal_stamps_are_merged() -> None:
     assert made.is_dense
     assert "800 messages of different joints and one stamp taken together" in note(made, "together")
     assert np.array_equal(made.setpoint.at(made.time), SENT)
+    assert not any("the stamp of the one before" in said for said in made.notes)
 
 
 def test_joints_with_different_stamps_keep_their_own_samples() -> None:

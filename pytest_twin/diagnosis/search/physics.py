@@ -84,6 +84,10 @@ class Physics(Protocol):
         """(signals,) noise floor."""
 
     @property
+    def noise(self) -> FloatArray:
+        """(signals,) noise of the recordings: the floor without the integration error."""
+
+    @property
     def lengths(self) -> Sequence[int]:
         """Number of samples of each segment."""
 
@@ -220,6 +224,12 @@ class SimulatedPhysics:
     def floor(self) -> FloatArray:
         """(signals,) noise floor."""
         return self.problem.signal_floor
+
+    @property
+    def noise(self) -> FloatArray:
+        """(signals,) noise of the recordings: the floor without the integration error."""
+        positions = np.maximum(self.prepared.floor_parts[NOISE], _SMALLEST_NOISE)
+        return np.concatenate([positions, self.floor[len(positions) :]])
 
     @property
     def lengths(self) -> Sequence[int]:

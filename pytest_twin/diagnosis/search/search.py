@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.search.accept import accepts
 from pytest_twin.diagnosis.search.fit import fit_along_motion, with_linearized_jacobians
 from pytest_twin.diagnosis.search.linearized_view import View
@@ -33,6 +34,8 @@ from pytest_twin.estimation.comparison import Comparison, Size
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
+_SETTING = "setting of the simulation"
+"""Origin of a model with another one."""
 _FITTED_SETTINGS = 2
 """Settings of the simulation with which the incumbent is fitted."""
 _DISTANT = 1
@@ -177,8 +180,10 @@ class Search:
 
     def _round(self, incumbent: Model) -> Model | None:
         """The model that replaces the incumbent; None if no proposal passes the test."""
-        if incumbent is self._simplest and not self._exceeds(incumbent, VERDICT.identifiable):
-            return None
+        if not self._exceeds(incumbent, VERDICT.identifiable):
+            better = self._setting_at_noise(incumbent)
+            if better is not None or incumbent is self._simplest:
+                return better
         if not self.physics.is_linearizable and not self._exceeds(incumbent, VERDICT.identifiable):
             # Simulations of all candidates would explain noise only.
             simple = simpler_or_confused(self.physics, incumbent.hypothesis)
@@ -249,6 +254,38 @@ class Search:
             return None
         return self._with_setting(self.physics.other_friction_constraint(own), [own], incumbent)
 
+    def _setting_at_noise(self, incumbent: Model) -> Model | None:
+        """An incumbent at the noise floor, with the setting that leaves less, if one does.
+
+        Further parameters would explain the errors of a wrong setting.
+        """
+        noise = INTEGRATOR.noise_alone * self.physics.noise
+        if not incumbent.hypothesis.terms or not (incumbent.mean_square > noise**2).any():
+            return None
+        present, best = self.physics, (self.physics, incumbent)
+        for physics in present.other_settings(incumbent.hypothesis, is_explained=False):
+            self.physics = physics
+            try:
+                fitted = self._fitted(self.simulated(incumbent.hypothesis, _SETTING))
+            finally:
+                self.physics = present
+            if self._is_nearer_noise(fitted, best[1]):
+                best = physics, fitted
+        self.physics, model = best
+        return None if model is incumbent else model
+
+    def _is_nearer_noise(self, other: Model, incumbent: Model) -> bool:
+        """Whether the same effects with another setting leave clearly less, compared at the noise.
+
+        The noise floor contains the integration error of the model without effects, which may hide
+        the difference. The setting is no parameter, so that nothing is fitted below the floor.
+        """
+        at_noise = replace(self.comparison, floor=self.physics.noise)
+        gain = at_noise.log_likelihood(other.mean_square)
+        gain -= at_noise.log_likelihood(incumbent.mean_square)
+        mean, error = at_noise.gain(other.residual, incumbent.residual)
+        return gain > self.settings.earns and mean > self.settings.standard_errors * error
+
     def _other_settings(self, incumbent: Model) -> Model | None:
         """The incumbent, or less, with another setting of the simulation, if it explains more."""
         own = incumbent.hypothesis
@@ -268,7 +305,7 @@ class Search:
         for physics in others:
             residuals = physics.simulate(hypotheses, own)
             tried += [
-                (physics, self._model(h, r, "setting of the simulation", own))
+                (physics, self._model(h, r, _SETTING, own))
                 for h, r in zip(hypotheses, residuals, strict=True)
             ]
         for physics, model in sorted(tried, key=lambda pair: -pair[1].score)[:_FITTED_SETTINGS]:
