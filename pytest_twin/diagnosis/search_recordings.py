@@ -321,10 +321,10 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
         found = replace(found, incumbent=_refit(physics, found, start, is_late=is_late))
         best = best_named(found, _inexpressible, physics.is_possible)
         if best is not found.incumbent.hypothesis:
-            named = _refit(physics, found, best, is_late=is_late)
+            renamed = _refit(physics, found, best, is_late=is_late)
             # Few steps may not reach the values that a model has without an effect.
-            if not is_late or named.score > found.incumbent.score - SETTINGS.earns:
-                found = replace(found, incumbent=named)
+            if not is_late or renamed.score > found.incumbent.score - SETTINGS.earns:
+                found = replace(found, incumbent=renamed)
         found = _with_special_cases(physics, found, is_late=is_late)
         found = _with_settings(physics, found, is_late=is_late)
         model = found.incumbent
