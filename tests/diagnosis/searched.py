@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.recorded_range import RecordedRange
@@ -23,6 +24,10 @@ class ProblemPhysics(SimulatedPhysics):
         self.problem = problem
         self.candidates = tuple(candidates(problem))
         self.recorded = RecordedRange.of(problem)
+
+    @property
+    def noise(self) -> FloatArray:
+        return self.floor
 
     def other_friction_constraint(self, hypothesis: Hypothesis) -> Iterator[Physics]:
         return iter(())
