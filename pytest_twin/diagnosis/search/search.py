@@ -36,6 +36,8 @@ from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 _SETTING = "setting of the simulation"
 """Origin of a model with another one."""
+_SETTINGS_TOGETHER = 2
+"""Largest number of settings that are changed together: friction constraint and time step."""
 _FITTED_SETTINGS = 2
 """Settings of the simulation with which the incumbent is fitted."""
 _DISTANT = 1
@@ -255,36 +257,40 @@ class Search:
         return self._with_setting(self.physics.other_friction_constraint(own), [own], incumbent)
 
     def _setting_at_noise(self, incumbent: Model) -> Model | None:
-        """An incumbent at the noise floor, with the setting that leaves less, if one does.
+        """An incumbent at the noise floor, with the settings that leave noise alone, if some do.
 
-        Further parameters would explain the errors of a wrong setting.
+        The floor contains the integration error of the model without effects, which may hide a
+        wrong setting. Further parameters would explain the errors of it. Two settings may be wrong.
         """
-        noise = INTEGRATOR.noise_alone * self.physics.noise
-        if not incumbent.hypothesis.terms or not (incumbent.mean_square > noise**2).any():
+        if not incumbent.hypothesis.terms:
             return None
-        present, best = self.physics, (self.physics, incumbent)
-        for physics in present.other_settings(incumbent.hypothesis, is_explained=False):
-            self.physics = physics
-            try:
-                fitted = self._fitted(self.simulated(incumbent.hypothesis, _SETTING))
-            finally:
+        present, best, is_right = self.physics, incumbent, False
+        try:
+            for _ in range(_SETTINGS_TOGETHER):
+                if self._is_noise(best):
+                    break
+                changed = list[tuple[Model, Physics]]()
+                own = self.physics
+                for physics in own.other_settings(best.hypothesis, is_explained=False):
+                    self.physics = physics
+                    fitted = self._fitted(self.simulated(best.hypothesis, _SETTING))
+                    changed.append((fitted, physics))
+                    self.physics = own
+                if not changed:
+                    break
+                best, self.physics = min(changed, key=lambda pair: self._noise_ratio(pair[0]))
+            is_right = best is not incumbent and self._is_noise(best)
+        finally:
+            if not is_right:
                 self.physics = present
-            if self._is_nearer_noise(fitted, best[1]):
-                best = physics, fitted
-        self.physics, model = best
-        return None if model is incumbent else model
+        return best if is_right else None
 
-    def _is_nearer_noise(self, other: Model, incumbent: Model) -> bool:
-        """Whether the same effects with another setting leave clearly less, compared at the noise.
+    def _noise_ratio(self, model: Model) -> float:
+        return float((model.mean_square / self.physics.noise**2).sum())
 
-        The noise floor contains the integration error of the model without effects, which may hide
-        the difference. The setting is no parameter, so that nothing is fitted below the floor.
-        """
-        at_noise = replace(self.comparison, floor=self.physics.noise)
-        gain = at_noise.log_likelihood(other.mean_square)
-        gain -= at_noise.log_likelihood(incumbent.mean_square)
-        mean, error = at_noise.gain(other.residual, incumbent.residual)
-        return gain > self.settings.earns and mean > self.settings.standard_errors * error
+    def _is_noise(self, model: Model) -> bool:
+        limit = (INTEGRATOR.noise_alone * self.physics.noise) ** 2
+        return bool((model.mean_square <= limit).all())
 
     def _other_settings(self, incumbent: Model) -> Model | None:
         """The incumbent, or less, with another setting of the simulation, if it explains more."""
