@@ -42,7 +42,7 @@ RIGHT = {
     "wear": {"coulomb_friction", "load_dependent_friction"},
     "warmer": {"viscous_friction"},
 }
-"""Names that are right for each change."""
+"""Simulated change -> effects that count as its right name."""
 
 
 @dataclass(frozen=True)

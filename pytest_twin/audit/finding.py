@@ -187,8 +187,8 @@ def report_of(
     rows = to_json(findings)
 
     def counts(layer: str | None = None) -> dict[str, int]:
-        found = Counter(row["severity"] for row in rows if layer in (None, row["layer"]))
-        return {severity: found[severity] for severity in SEVERITIES}
+        counts = Counter(row["severity"] for row in rows if layer in (None, row["layer"]))
+        return {severity: counts[severity] for severity in SEVERITIES}
 
     return {
         "schema": SCHEMA,

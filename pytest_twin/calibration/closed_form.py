@@ -72,8 +72,8 @@ def positions(
     matrix[:, :, :3] = flange[:, :3, :3]
     matrix[:, :, 3:] = -np.eye(3)
     right = seen[:, :3, 3] @ world.T - flange[:, :3, 3]
-    found = least_squares(matrix.reshape(-1, 6), right.reshape(-1))
-    return rigid(mounted, found[:3]), rigid(world, found[3:])
+    solution = least_squares(matrix.reshape(-1, 6), right.reshape(-1))
+    return rigid(mounted, solution[:3]), rigid(world, solution[3:])
 
 
 def scale_of_seen(flange: FloatArray, seen: FloatArray) -> tuple[float, FloatArray, FloatArray]:
@@ -87,8 +87,8 @@ def scale_of_seen(flange: FloatArray, seen: FloatArray) -> tuple[float, FloatArr
     right = -flange[:, :3, 3]
     # The columns get unit length, so that the rank does not depend on the unit of the positions.
     size = np.linalg.norm(matrix.reshape(-1, 7), axis=0) + 1e-300
-    found = least_squares(matrix.reshape(-1, 7) / size, right.reshape(-1)) / size
-    return float(found[6]), rigid(mounted, found[:3]), rigid(world, found[3:6])
+    solution = least_squares(matrix.reshape(-1, 7) / size, right.reshape(-1)) / size
+    return float(solution[6]), rigid(mounted, solution[:3]), rigid(world, solution[3:6])
 
 
 def kabsch(points: FloatArray, others: FloatArray) -> FloatArray:
@@ -109,8 +109,8 @@ def pivot(flange: FloatArray) -> tuple[FloatArray, FloatArray]:
     matrix[:, :, :3] = flange[:, :3, :3]
     matrix[:, :, 3:] = -np.eye(3)
     right = -flange[:, :3, 3].reshape(-1)
-    found = least_squares(matrix.reshape(-1, 6), right)
-    return found[:3], found[3:]
+    solution = least_squares(matrix.reshape(-1, 6), right)
+    return solution[:3], solution[3:]
 
 
 def markers(
@@ -137,12 +137,12 @@ def markers(
         rows.append(matrix.reshape(-1, width))
         right.append(poses[:, :3, 3].reshape(-1))
     matrix, values = np.concatenate(rows), np.concatenate(right)
-    found = least_squares(matrix, values)
-    rotation = nearest_rotation(found[:9].reshape(3, 3))
+    solution = least_squares(matrix, values)
+    rotation = nearest_rotation(solution[:9].reshape(3, 3))
     rest = values - matrix[:, :9] @ rotation.reshape(-1)
-    found = least_squares(matrix[:, 9:], rest)
-    places = [found[3 + 3 * at : 6 + 3 * at] for at in range(len(seen))]
-    return rigid(rotation, found[:3]), places
+    solution = least_squares(matrix[:, 9:], rest)
+    places = [solution[3 + 3 * at : 6 + 3 * at] for at in range(len(seen))]
+    return rigid(rotation, solution[:3]), places
 
 
 def scale_of_marker(flange: FloatArray, seen: FloatArray) -> tuple[float, float]:
@@ -158,10 +158,10 @@ def scale_of_marker(flange: FloatArray, seen: FloatArray) -> tuple[float, float]
         matrix[:, axis, 9 + axis] = 1.0
     matrix[:, :, 12:] = -flange[:, :3, :3]
     values = flange[:, :3, 3].reshape(-1)
-    found = least_squares(matrix.reshape(-1, 15), values)
-    turn = found[:9].reshape(3, 3)
+    solution = least_squares(matrix.reshape(-1, 15), values)
+    turn = solution[:9].reshape(3, 3)
     factor = float(np.cbrt(max(np.linalg.det(turn), 0.0)))
-    errors = (matrix.reshape(-1, 15) @ found - values).reshape(-1, 3)
+    errors = (matrix.reshape(-1, 15) @ solution - values).reshape(-1, 3)
     return factor / size, float(np.median(np.linalg.norm(errors, axis=1)))
 
 

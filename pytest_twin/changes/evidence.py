@@ -69,10 +69,14 @@ class Tempering:
         of_law = list(self.by_law([shape.term for shape in shapes], evidence).values())
         return float(np.logaddexp.reduce(of_law) - np.log(len(of_law)))
 
-    @property
-    def deviations(self) -> float:
-        """Standard deviations beyond which an amplitude is significant."""
-        return float(stdtrit(self.freedom, TWO_SIDED))
+    def significant(self, value: FloatArray, covariance: FloatArray) -> NDArray[np.bool_]:
+        """(k,) whether each amplitude differs from 0.
+
+        Args:
+            value, covariance: (k,) and (k, k) of the amplitudes.
+        """
+        deviations = float(stdtrit(self.freedom, TWO_SIDED))
+        return np.asarray(np.abs(value) > deviations * np.sqrt(np.diag(covariance)))
 
 
 def gains_of(

@@ -103,13 +103,13 @@ def best_change(
             probability[shapes[k].term] += of_both
     term = max(probability, key=lambda law: probability[law])
     with_term = [
-        (pair, estimate)
-        for pair, estimate in zip(pairs, of_pairs, strict=True)
+        (pair, of_pair)
+        for pair, of_pair in zip(pairs, of_pairs, strict=True)
         if term in [shapes[k].term for k in pair.members] and alone[pair.term] > alone[term]
     ]
     if with_term:
         pair, (_, value, covariance) = max(with_term, key=lambda each: each[1][0])
-        if np.all(np.abs(value) > tempering.deviations * np.sqrt(np.diag(covariance))):
+        if tempering.significant(value, covariance).all():
             return _of_pair(pair, shapes, value, covariance, probability)
     best = max(
         (k for k, candidate in enumerate(terms) if candidate == term), key=lambda k: float(every[k])
@@ -127,15 +127,15 @@ def best_change(
         term = shapes[best].term
         confidence += probability[term]
         del probability[replaced]
-    significant = _significant(contrast, shapes[best], best, tempering)
-    simpler = _simplest(shapes, best, significant, evidence)
+    _, value, covariance = estimate(contrast, shapes[best].indices, tempering.inflation)
+    simpler = _simplest(shapes, best, tempering.significant(value, covariance), evidence)
     if simpler != best:
         best, replaced = simpler, term
         term = shapes[best].term
         if term != replaced:
             confidence += probability[term]
             del probability[replaced]
-    _, value, covariance = estimate(contrast, shapes[best].indices, tempering.inflation)
+        _, value, covariance = estimate(contrast, shapes[best].indices, tempering.inflation)
     return [Change(shapes[best], value, covariance, confidence, _rivals(probability, term))]
 
 
@@ -176,18 +176,6 @@ def _of_type(
         )
         for k, part in zip(law.members, parts, strict=True)
     ]  # fmt: skip
-
-
-def _significant(
-    contrast: Contrast, shape: Shape, at: int, tempering: Tempering
-) -> NDArray[np.bool_]:
-    """(k,) whether each amplitude of a shape differs from 0.
-
-    Args:
-        at: index of the shape.
-    """
-    _, value, covariance = estimate(contrast, shape.indices, tempering.inflation)
-    return np.asarray(np.abs(value) > tempering.deviations * np.sqrt(np.diag(covariance)))
 
 
 def _rivals(probability: Mapping[Term, float], term: Term) -> dict[Term, float]:

@@ -87,15 +87,15 @@ def mass_and_place(
     names = [p.name for p in shape.term.parameters]
     mass = float(value[0])
     deviation = np.hypot(np.sqrt(covariance[0, 0]), _EFFORT_ACCURACY * mass)
-    found = [(names[0], "kg", mass, float(deviation))]
+    estimates = [(names[0], "kg", mass, float(deviation))]
     for row, k in enumerate(shape.columns):
         if not 0 < k < MOMENTS:
             continue
         place = float(value[row]) / mass
         slope = np.zeros(len(value))
         slope[row], slope[0] = 1.0 / mass, -place / mass
-        found.append((names[k], "m", place, float(np.sqrt(slope @ covariance @ slope))))
-    return found
+        estimates.append((names[k], "m", place, float(np.sqrt(slope @ covariance @ slope))))
+    return estimates
 
 
 def _in_own_axes(tip: FloatArray, axes: FloatArray) -> FloatArray:

@@ -88,8 +88,8 @@ class AssetAudit(Check):
             )
         elif critical:
             summary += f" besides {len(critical)} that the twin accepts"
-        # How many warnings there are is said in one place: the command also looks at poses and at
-        # evidence beside the file.
+        # The number of warnings is left to the command, which also uses poses and evidence beside
+        # the file: two numbers would differ.
         summary += f"; warnings and values that nobody states: pytest-twin audit {values['file']}"
         return [
             _measure(summary, len(left)),

@@ -1,4 +1,4 @@
-"""Names that recordings do not separate, and the command for the motion that does."""
+"""List the names between which recordings cannot decide, and the command for a motion that can."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import Any
 from pytest_twin.effects import catalogue
 
 NEEDED_SHARE = 0.9
-"""Share that the names hold together."""
+"""Share of the probability that the listed names have together."""
 _LIKELY = 1.0 - NEEDED_SHARE
-"""Smallest share of a name that counts where all names together hold less because the confidence of
-the finding was limited."""
+"""Smallest share of a name that is listed if all names together have less than 90 %."""
 
 
 def state_not_separated(document: dict[str, Any], model: Path, folder: Path) -> None:
@@ -33,15 +32,15 @@ def state_not_separated(document: dict[str, Any], model: Path, folder: Path) -> 
         pair = [one["name"] for one in names if _is_of_a_motion(one)][:2]
         if len(pair) == 2:
             stated["command"] = shlex.join([
-                "pytest-twin", "excite", _shown(model), "--separate", ",".join(pair),
-                "--diagnosis", _shown(folder), "--out", "separating_motion",
+                "pytest-twin", "excite", _from_here(model), "--separate", ",".join(pair),
+                "--diagnosis", _from_here(folder), "--out", "separating_motion",
             ])  # fmt: skip
             finding["next_test"] = f"{finding['next_test'].rstrip('.')}; or {stated['command']}"
         finding["not_separated"] = stated
 
 
 def not_separated(finding: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the smallest set of names that together hold 90 %; empty for a single name.
+    """Return the fewest names that together have 90 % of the probability; empty for a single name.
 
     Each has ``name`` (``EFFECT@JOINT``; several effects joined by ``+``) and ``confidence``.
     """
@@ -70,7 +69,7 @@ def _is_of_a_motion(one: Mapping[str, Any]) -> bool:
     return "+" not in one["name"] and law is not None and law.candidate and law.family != "contact"
 
 
-def _shown(path: Path) -> str:
+def _from_here(path: Path) -> str:
     """The path from the working folder, absolute if it is elsewhere."""
     path = path.absolute()
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)

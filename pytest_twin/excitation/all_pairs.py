@@ -53,11 +53,6 @@ class PairOdds:
         return cls(shown, pairs, needed)
 
     @cached_property
-    def separated(self) -> int:
-        """Number of pairs that the motion distinguishes."""
-        return len(self.distinguished)
-
-    @cached_property
     def distinguished(self) -> frozenset[tuple[Term, Term]]:
         """Pairs that the motion distinguishes."""
         return frozenset(

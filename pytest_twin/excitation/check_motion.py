@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
+from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.excitation.all_pairs import PairOdds
 from pytest_twin.excitation.approved_robot import ApprovedRobot
@@ -24,10 +24,10 @@ from pytest_twin.excitation.catalogue_responses import (
     responses_of,
     terms_of,
 )
-from pytest_twin.excitation.excite import Excitation, write_motions
+from pytest_twin.excitation.excite import Excitation, state_limit, write_motions
 from pytest_twin.excitation.find_safe import RejectedDesign, SafeMotion
 from pytest_twin.excitation.motion import Motion
-from pytest_twin.excitation.motion_search import safe_motions, search
+from pytest_twin.excitation.motion_search import chosen_within_limit, safe_motions, search
 from pytest_twin.excitation.separate import DECIDED, noise_section
 from pytest_twin.time_limit import is_over, limited, skips
 
@@ -126,12 +126,7 @@ def check_file(
         robot = replace(robot, approved=replace(approved, duration=min(approved.duration, LONGEST)))
         terms = terms_of(robot)
         responses = responses_of(robot, terms)
-        with ending_at_limit():
-            try:
-                chosen = choose(robot, terms, responses, progress)
-            except OutOfTime:
-                skips("all motions")
-                chosen = Chosen()
+        chosen = chosen_within_limit(lambda: choose(robot, terms, responses, progress), Chosen())
     excitation = Excitation(
         robot.realization, replace(approved, mechanisms=()), robot.noise, robot.regressor,
         robot.base, tuple(motion for motion, _ in chosen.motions), chosen.refused, (), seed,
@@ -140,8 +135,7 @@ def check_file(
     document = written["document"]
     document["check"] = _document(robot, terms, responses, chosen)
     document["verdict"] = "separable" if chosen.is_sufficient else "not_separable"
-    document["not_tried"] = limit.not_tried
-    document["ended_early"] = limit.note()
+    state_limit(document, limit)
     return written
 
 

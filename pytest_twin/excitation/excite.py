@@ -31,7 +31,7 @@ from pytest_twin.identification.regressor.regressor import Regressor
 from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.model import Realization
 from pytest_twin.recording_options import CommandMode
-from pytest_twin.time_limit import limited
+from pytest_twin.time_limit import TimeLimit, limited
 from pytest_twin.twin import Twin
 
 FOLDER = "trajectories"
@@ -103,9 +103,14 @@ def excite_file(
         raise missing_error(path, missing_lines({}, movable_joints(realization)), None)
     with limited(seconds) as limit:
         written = write_motions(excite(realization, twin, seed, progress), path, Path(out))
-    written["document"]["not_tried"] = limit.not_tried
-    written["document"]["ended_early"] = limit.note()
+    state_limit(written["document"], limit)
     return written
+
+
+def state_limit(document: dict[str, Any], limit: TimeLimit) -> None:
+    """Write into ``excitation.json`` what a run left out, and why it ended early."""
+    document["not_tried"] = limit.not_tried
+    document["ended_early"] = limit.note()
 
 
 def write_motions(found: Excitation, twin: Path, out: Path) -> dict[str, Any]:

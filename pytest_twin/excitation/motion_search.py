@@ -8,7 +8,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from pytest_twin.estimation.deadline import OutOfTime
+from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
 from pytest_twin.excitation.approved_robot import ApprovedRobot
 from pytest_twin.excitation.candidates import Candidate, varied, within_commands
 from pytest_twin.excitation.find_safe import RejectedDesign, Robot, SafeMotion, find_safe
@@ -27,6 +27,7 @@ class Ranked(Protocol):
         """Comparable value."""
 
 
+Choice = TypeVar("Choice")
 Score = TypeVar("Score", bound=Ranked)
 Judge = Callable[[Sequence[Motion]], Sequence[Score]]
 
@@ -38,6 +39,16 @@ class Judged(Generic[Score]):
     candidate: Candidate
     motion: Motion
     score: Score
+
+
+def chosen_within_limit(choose: Callable[[], Choice], none: Choice) -> Choice:
+    """The choice of motions; ``none`` where the time limit ends it before the first is judged."""
+    with ending_at_limit():
+        try:
+            return choose()
+        except OutOfTime:
+            skips("all motions")
+            return none
 
 
 def search(

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.estimation.deadline import OutOfTime, ending_at_limit
 from pytest_twin.excitation.approved_robot import ApprovedRobot
 from pytest_twin.excitation.candidates import candidates
 from pytest_twin.excitation.closed_loop import servo_modes
 from pytest_twin.excitation.discrimination import Separation
-from pytest_twin.excitation.excite import Excitation, write_motions
+from pytest_twin.excitation.excite import Excitation, state_limit, write_motions
 from pytest_twin.excitation.find_safe import RejectedDesign, SafeMotion
 from pytest_twin.excitation.hypotheses import (
     Rival,
@@ -23,10 +22,10 @@ from pytest_twin.excitation.hypotheses import (
     read_rivals,
 )
 from pytest_twin.excitation.motion import Role
-from pytest_twin.excitation.motion_search import Judged, safe_motions, search
+from pytest_twin.excitation.motion_search import Judged, chosen_within_limit, safe_motions, search
 from pytest_twin.excitation.responses import Noise
 from pytest_twin.excitation.separators import Separator, separator_of
-from pytest_twin.time_limit import limited, skips
+from pytest_twin.time_limit import limited
 
 DECIDED = 0.9
 """Expected probability from which a motion tells two hypotheses apart."""
@@ -84,16 +83,10 @@ def separate_file(
         rivals = read_rivals(words, names, servo_modes(robot.realization, names), diagnosed)
         separator = separator_of(robot, rivals, diagnosed)
         moved = sorted({j for rival in rivals for j in _joints_of(rival, len(names))})
-        with ending_at_limit():
-            try:
-                chosen = separate(robot, separator, moved, progress)
-            except OutOfTime:
-                skips("all motions")
-                chosen = Chosen()
+        chosen = chosen_within_limit(lambda: separate(robot, separator, moved, progress), Chosen())
     written = _written(robot, chosen, Path(model), Path(out))
     written["document"]["separation"] = _document(robot, rivals, separator.noise, chosen)
-    written["document"]["not_tried"] = limit.not_tried
-    written["document"]["ended_early"] = limit.note()
+    state_limit(written["document"], limit)
     return written
 
 

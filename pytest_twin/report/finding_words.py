@@ -63,7 +63,7 @@ def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:
 
 
 def ambiguity_sentence(finding: Mapping[str, Any]) -> str:
-    """Return a sentence with the names that the recordings do not separate, or ""."""
+    """Return a sentence with the names between which the recordings cannot decide, or ""."""
     stated = finding.get("not_separated")
     if stated is None:
         return ""

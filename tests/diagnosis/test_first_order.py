@@ -6,7 +6,7 @@ encoder.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -37,8 +37,9 @@ from pytest_twin.diagnosis.first_order.measured_trajectory import (
 from pytest_twin.diagnosis.first_order.rigid_terms import rigid_terms, upsample
 from pytest_twin.diagnosis.first_order.sensitivities import (
     Linearization,
+    Sensitivity,
     linearize,
-    sensitivities,
+    sensitivities_around,
     starting_grid,
 )
 from pytest_twin.diagnosis.free_initial_state import free_initial_states
@@ -212,6 +213,13 @@ def simulated_positions(segment: Segment, joints: tuple[str, ...], hidden: Hidde
     return simulator.simulate(np.array([0]), values)[0].position
 
 
+def sensitivities(problem: Problem, terms: Sequence[Term]) -> tuple[list[Sensitivity], FloatArray]:
+    """Sensitivities of candidates at the nominal model, and its residual, (bins, signals)."""
+    linear = linearize(problem, problem.fit, EMPTY)
+    (residual,) = problem.residuals([EMPTY], problem.fit)
+    return sensitivities_around(linear, problem, terms, problem.fit, EMPTY, residual)
+
+
 def problem_of(mode: str, hidden: Hidden) -> Problem:
     """An arm with position servos, or a crank under effort commands in short windows."""
     servo = mode == "position"
@@ -254,7 +262,7 @@ def problem_of(mode: str, hidden: Hidden) -> Problem:
 def test_external_forces_that_last_beyond_the_recording_have_one_sensitivity() -> None:
     problem = problem_of("position", {})
     term = Term("external_force", ELBOW)
-    found, _ = sensitivities(problem, [term], problem.fit)
+    found, _ = sensitivities(problem, [term])
     changes = [r.change for r in found]
     assert not any(np.array_equal(a, b) for i, a in enumerate(changes) for b in changes[:i])
     # For every start time, one force lasts until the end.
@@ -285,7 +293,7 @@ def test_effects_that_are_evaluated_together_have_the_sensitivities_of_each_alon
 
 def normal_equations(problem: Problem) -> NormalEquations:
     """Normal equations of all candidates of the catalogue, around the nominal model."""
-    answers, left = sensitivities(problem, candidates(problem), problem.fit)
+    answers, left = sensitivities(problem, candidates(problem))
     lengths = bins(problem, problem.fit).lengths
     view = ResidualView(left, np.empty((*left.shape, 0)), problem.signal_floor, lengths)
     return NormalEquations(view, CandidateSensitivities(answers))

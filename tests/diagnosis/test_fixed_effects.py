@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_first_order import ELBOW, problem_of
+from test_first_order import ELBOW, problem_of, sensitivities
 
 from pytest_twin.diagnosis.first_order.bins import bins
-from pytest_twin.diagnosis.first_order.sensitivities import sensitivities
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.estimation.hypothesis import EMPTY, Term, effect_values
@@ -37,7 +36,7 @@ def test_a_candidate_is_in_addition_to_the_same_effect_of_the_model(
     term: Term, fixed: list[float], added: list[float]
 ) -> None:
     problem = with_fixed(term, fixed)
-    found, _ = sensitivities(problem, [term], problem.fit)
+    found, _ = sensitivities(problem, [term])
     linear = found[0].change[:, :, 0] / found[0].start[found[0].amplitude_indices[0]]
     without, with_it = problem.residuals([EMPTY, EMPTY.with_term(term, np.array(added))],
                                          problem.fit)  # fmt: skip

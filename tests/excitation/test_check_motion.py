@@ -136,7 +136,7 @@ def test_laws_whose_readings_are_proportional_stay_alike_and_orthogonal_ones_do_
     by_name = {(a.effect, b.effect): value for (a, b), value in odds.pairs.items()}
     assert by_name["viscous_friction", "coulomb_friction"] == pytest.approx(0.0, abs=0.1)
     assert by_name["viscous_friction", "joint_spring"] > 7.0
-    assert odds.separated == 2
+    assert len(odds.distinguished) == 2
 
 
 def test_a_law_below_the_noise_is_not_shown_and_enters_no_pair() -> None:

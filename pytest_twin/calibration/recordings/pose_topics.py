@@ -74,8 +74,8 @@ def _stream(poses: Sequence[StampedMessage], zero: int) -> PoseStream:
     stamps = np.array([one.stamp for one in poses], dtype=np.int64)
     _, rows = np.unique(stamps, return_index=True)
     values = np.array([poses[row].values for row in rows])
-    found = rigid(Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3])
-    return PoseStream(seconds(stamps[rows], zero), found)
+    transforms = rigid(Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3])
+    return PoseStream(seconds(stamps[rows], zero), transforms)
 
 
 def _poses_between(bag: SensorCollector, parent: str, child: str, zero: int) -> PoseStream:

@@ -180,29 +180,6 @@ def _with_single_amplitude(
     return alone
 
 
-def sensitivities(
-    problem: Problem,
-    terms: Sequence[Term],
-    segments: NDArray[np.int64],
-    hypothesis: Hypothesis = EMPTY,
-    residual: FloatArray | None = None,
-) -> tuple[list[Sensitivity], FloatArray]:
-    """First-order sensitivities of every candidate at a hypothesis.
-
-    Args:
-        terms: candidates that the hypothesis lacks.
-        hypothesis: the best hypothesis so far.
-        residual: (samples, signals) residual of the hypothesis on the segments, if it is known.
-
-    Returns:
-        The sensitivities, and the residual of the hypothesis, (bins, signals).
-    """
-    if residual is None:
-        residual = problem.residuals([hypothesis], segments)[0]
-    linear = linearize(problem, segments, hypothesis)
-    return sensitivities_around(linear, problem, terms, segments, hypothesis, residual)
-
-
 def sensitivities_around(
     linear: Linearization | None,
     problem: Problem,
@@ -211,7 +188,16 @@ def sensitivities_around(
     hypothesis: Hypothesis,
     residual: FloatArray,
 ) -> tuple[list[Sensitivity], FloatArray]:
-    """As :func:`sensitivities`, around a hypothesis that is linearized already."""
+    """First-order sensitivities of every candidate at a hypothesis.
+
+    Args:
+        linear: linearization around the hypothesis, or None.
+        terms: candidates that the hypothesis lacks.
+        residual: (samples, signals) residual of the hypothesis on the segments.
+
+    Returns:
+        The sensitivities, and the residual of the hypothesis, (bins, signals).
+    """
     if linear is None:
         binned = bins(problem, segments).mean(residual)
         return simulated_sensitivities(problem, terms, segments, hypothesis, binned), binned

@@ -269,21 +269,24 @@ class Search:
             for _ in range(_SETTINGS_TOGETHER):
                 if self._is_noise(best):
                     break
-                changed = list[tuple[Model, Physics]]()
-                own = self.physics
-                for physics in own.other_settings(best.hypothesis, is_explained=False):
-                    self.physics = physics
-                    fitted = self._fitted(self.simulated(best.hypothesis, _SETTING))
-                    changed.append((fitted, physics))
-                    self.physics = own
-                if not changed:
-                    break
-                best, self.physics = min(changed, key=lambda pair: self._noise_ratio(pair[0]))
+                best = self._in_nearest_setting(best)
             is_right = best is not incumbent and self._is_noise(best)
         finally:
             if not is_right:
                 self.physics = present
         return best if is_right else None
+
+    def _in_nearest_setting(self, model: Model) -> Model:
+        """The effects of a model in the other setting that leaves least; without one, the model."""
+        own, fitted = self.physics, list[tuple[Model, Physics]]()
+        for physics in own.other_settings(model.hypothesis, is_explained=False):
+            self.physics = physics
+            fitted.append((self._fitted(self.simulated(model.hypothesis, _SETTING)), physics))
+        self.physics = own
+        best, self.physics = min(
+            fitted, key=lambda pair: self._noise_ratio(pair[0]), default=(model, own)
+        )
+        return best
 
     def _noise_ratio(self, model: Model) -> float:
         return float((model.mean_square / self.physics.noise**2).sum())
