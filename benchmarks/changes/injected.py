@@ -175,7 +175,7 @@ def answer(
         Contrast(shown.information, shown.vector + shown.information @ amplitudes)
         for shown in (prepared.contrast, prepared.naming)
     )
-    evidence = evidence_of(contrast, shapes, tempering)
+    evidence = evidence_of(contrast, shapes, tempering.inflation)
     named = best_possible(naming, shapes, types, tempering, robot.rows.largest)
     first = named[0]
     joint = first.shape.term.joint

@@ -122,7 +122,7 @@ def compare(
     """
     prepared = prepare(rows, sessions, later, shapes)
     background, null, tempering = prepared.background, prepared.null, prepared.tempering
-    evidence = evidence_of(prepared.contrast, shapes, tempering)
+    evidence = evidence_of(prepared.contrast, shapes, tempering.inflation)
     score, threshold = tempering.score(shapes, evidence), prepared.threshold(level)
     types = type_laws(shapes, rows.scale, motors)
     changes: list[Change] = []
@@ -145,7 +145,7 @@ def compare(
             changes.append(replace(change, gain=gain))
             rest = rest.without(columns, change.value)
             naming = naming.without(columns, change.value)
-        evidence = evidence_of(rest, shapes, tempering)
+        evidence = evidence_of(rest, shapes, tempering.inflation)
     before, after = rows.residual_rms(new, background.mean), rows.residual_rms(new, changed)
     left, added = prepared.rest(before, after)
     changes = [

@@ -1,4 +1,16 @@
-"""Evidence of a change of each law, and how much less it is worth than that of a known scatter."""
+"""Evidence of a change of each law, and how much less it is worth than that of a known scatter.
+
+The later recordings are modelled as ``y = Phi (theta + d) + Phi_j delta + e``. The laws of the
+background ``theta`` have the estimate and covariance of the earlier recordings; their deviations
+``d`` from session to session and the noise ``e`` have the estimated scatter. With these
+marginalized, the change ``delta`` of one law has the information ``I`` and the right side ``b`` of
+a :class:`Contrast`. The scatter is estimated from few sessions and is too small; sessions that are
+left out show by which factor, the inflation ``t``. All of the covariance is ``t`` times as large,
+so ``I`` and ``b`` are both divided by it (quasi-likelihood: McCullagh, Nelder 1989, ch. 9). With
+the prior ``delta ~ N(0, P)`` follow the covariance ``V = (I / t + P^-1)^-1``, the estimate
+``V b / t`` and the log evidence against no change ``b V b / (2 t^2) - log|1 + P I / t| / 2``. A
+prior of several equally probable covariances gives the mean of the evidences.
+"""
 
 from __future__ import annotations
 
@@ -79,54 +91,82 @@ class Tempering:
         return np.asarray(np.abs(value) > deviations * np.sqrt(np.diag(covariance)))
 
 
-def gains_of(
-    contrast: Contrast, shapes: Sequence[Shape], larger: float = 1.0
-) -> tuple[FloatArray, FloatArray]:
-    """(shapes,) gain of log-likelihood by a change of each law, and its penalty (Occam factor).
+@dataclass(frozen=True)
+class Estimate:
+    """Changes of several laws with equally many amplitudes.
+
+    Attributes:
+        evidence: (n,) log evidence of each against no change.
+        value: (n, k) its amplitudes under the most probable prior.
+        covariance: (n, k, k) their covariance.
+    """
+
+    evidence: FloatArray
+    value: FloatArray
+    covariance: FloatArray
+
+
+def estimated(
+    contrast: Contrast, columns: NDArray[np.intp], priors: FloatArray, inflation: float
+) -> Estimate:
+    """Evidence and change of several laws, as derived above.
 
     Args:
-        larger: size of the change in multiples of its usual one.
+        columns: (n, k) columns of each law.
+        priors: (m, k, k) equally probable covariances of the amplitudes.
+        inflation: factor on the covariance of the rows.
     """
-    deviation = larger * AMPLITUDE_PRIOR
-    gains, penalties = np.empty(len(shapes)), np.empty(len(shapes))
+    information = contrast.information[columns[:, :, None], columns[:, None, :]] / inflation
+    vector = contrast.vector[columns] / inflation
+    shrunk = np.eye(columns.shape[1]) + priors[:, None] @ information
+    covariance = np.linalg.solve(shrunk, np.broadcast_to(priors[:, None], shrunk.shape))
+    value = np.einsum("mnab,nb->mna", covariance, vector)
+    each = 0.5 * np.einsum("na,mna->mn", vector, value) - 0.5 * np.linalg.slogdet(shrunk)[1]
+    best, laws = each.argmax(axis=0), np.arange(len(columns))
+    evidence = np.logaddexp.reduce(each, axis=0) - np.log(len(priors))
+    return Estimate(np.asarray(evidence), value[best, laws], covariance[best, laws])
+
+
+def sizes(unit: FloatArray) -> FloatArray:
+    """(sizes, k, k) covariances of a change that may be much larger than usual.
+
+    Args:
+        unit: (k, k) covariance of the amplitudes, relative to that of a usual change.
+    """
+    return np.square(AMPLITUDE_PRIOR * np.array(_LARGER))[:, None, None] * unit
+
+
+def evidence_of(contrast: Contrast, shapes: Sequence[Shape], inflation: float) -> FloatArray:
+    """(shapes,) log evidence of a change of each law against no change, of equal priors."""
+    evidence = np.empty(len(shapes))
     amplitudes = np.array([len(shape.columns) for shape in shapes])
     for count in np.unique(amplitudes):
         (which,) = np.nonzero(amplitudes == count)
         columns = np.array([shapes[k].indices for k in which.tolist()])
-        precision = contrast.information[columns[:, :, None], columns[:, None, :]]
-        precision = precision + np.eye(count) / deviation**2
-        vector = contrast.vector[columns]
-        change = np.linalg.solve(precision, vector[..., None])[..., 0]
-        gains[which] = 0.5 * (vector * change).sum(axis=1)
-        penalties[which] = 0.5 * np.linalg.slogdet(precision * deviation**2)[1]
-    return gains, penalties
+        evidence[which] = estimated(contrast, columns, sizes(np.eye(count)), inflation).evidence
+    return evidence
 
 
-def evidence_of(contrast: Contrast, shapes: Sequence[Shape], tempering: Tempering) -> FloatArray:
-    """(shapes,) log evidence of a change of each law against no change, of equal priors."""
-    # A change may be much larger than usual.
-    each = [gains_of(contrast, shapes, larger) for larger in _LARGER]
-    of_size = np.array([gains / tempering.inflation - penalties for gains, penalties in each])
-    return np.asarray(np.logaddexp.reduce(of_size, axis=0) - np.log(len(_LARGER)))
+def inflation_of(left_out: Sequence[Contrast], shapes: Sequence[Shape]) -> float:
+    """Mean over joints of how much more laws seem to change than a known scatter explains.
 
-
-def estimate(
-    contrast: Contrast, columns: NDArray[np.intp], inflation: float
-) -> tuple[float, FloatArray, FloatArray]:
-    """Log evidence against no change, (k,) change of amplitudes and (k, k) covariance."""
-    information = contrast.information[np.ix_(columns, columns)]
-    vector = contrast.vector[columns]
-    best: tuple[float, FloatArray, FloatArray] | None = None
-    evidences = []
-    for larger in _LARGER:
-        variance = (larger * AMPLITUDE_PRIOR) ** 2
-        precision = information + np.eye(len(columns)) / variance
-        change = np.asarray(np.linalg.solve(precision, vector), dtype=np.float64)
-        penalty = 0.5 * float(np.linalg.slogdet(precision * variance)[1])
-        evidences.append(0.5 * float(vector @ change) / inflation - penalty)
-        if best is None or evidences[-1] > best[0]:
-            covariance = np.asarray(inflation * np.linalg.inv(precision), dtype=np.float64)
-            best = evidences[-1], change, covariance
-    assert best is not None
-    evidence = float(np.logaddexp.reduce(evidences) - np.log(len(_LARGER)))
-    return evidence, best[1], best[2]
+    Where the covariance is as assumed, twice the gain of log-likelihood is on average the number of
+    amplitudes that the rows determine, the trace of ``V I``. The factor of a joint is at least 1.
+    """
+    squares, determined = np.zeros(len(shapes)), np.zeros(len(shapes))
+    amplitudes = np.array([len(shape.columns) for shape in shapes])
+    for contrast in left_out:
+        for count in np.unique(amplitudes):
+            (which,) = np.nonzero(amplitudes == count)
+            columns = np.array([shapes[k].indices for k in which.tolist()])
+            usual = AMPLITUDE_PRIOR**2 * np.eye(count)[None]
+            change = estimated(contrast, columns, usual, 1.0)
+            information = contrast.information[columns[:, :, None], columns[:, None, :]]
+            squares[which] += (contrast.vector[columns] * change.value).sum(axis=1)
+            determined[which] += np.einsum("nab,nba->n", change.covariance, information)
+    joints = np.array([shape.term.joint for shape in shapes])
+    ratios = [
+        max(float(squares[own].sum() / max(determined[own].sum(), 1e-300)), 1.0)
+        for own in (joints == joint for joint in np.unique(joints))
+    ]
+    return float(np.exp(np.mean(np.log(ratios))))

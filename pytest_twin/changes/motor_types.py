@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.changes.background import Contrast
-from pytest_twin.changes.scatter import AMPLITUDE_PRIOR
+from pytest_twin.changes.evidence import sizes
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.effort.law_columns import Shape
 
@@ -48,41 +47,16 @@ class TypeLaw:
     columns: NDArray[np.intp]
     unit: FloatArray
 
-    def priors(self) -> list[FloatArray]:
-        """Covariances of the amplitudes, of equally probable spreads."""
+    def priors(self) -> FloatArray:
+        """(m, k, k) equally probable covariances of the amplitudes: of every size and spread."""
         amplitudes = len(self.columns) // len(self.members)
         which = np.arange(len(self.columns)) % amplitudes
         shared = (which[:, None] == which).astype(float)
-        size = AMPLITUDE_PRIOR**2 * np.outer(self.unit, self.unit)
-        return [
-            size * (shared + spread**2 * np.eye(len(which))) / (1.0 + spread**2)
+        unit = np.outer(self.unit, self.unit)
+        return np.concatenate([
+            sizes(unit * (shared + spread**2 * np.eye(len(which))) / (1.0 + spread**2))
             for spread in _SPREADS
-        ]
-
-    def estimate(
-        self, contrast: Contrast, inflation: float
-    ) -> tuple[float, FloatArray, FloatArray]:
-        """Log evidence against no change, most probable amplitudes and their covariance.
-
-        Args:
-            inflation: factor on the variances of a known scatter.
-        """
-        information = contrast.information[np.ix_(self.columns, self.columns)]
-        information = information / inflation
-        vector = contrast.vector[self.columns] / inflation
-        best: tuple[float, FloatArray, FloatArray] | None = None
-        evidences = []
-        for prior in self.priors():
-            shrunk = np.eye(len(vector)) + prior @ information
-            covariance = np.asarray(np.linalg.solve(shrunk, prior), dtype=np.float64)
-            value = np.asarray(covariance @ vector, dtype=np.float64)
-            penalty = 0.5 * float(np.linalg.slogdet(shrunk)[1])
-            evidences.append(0.5 * float(vector @ value) - penalty)
-            if best is None or evidences[-1] > best[0]:
-                best = evidences[-1], value, covariance
-        assert best is not None
-        evidence = float(np.logaddexp.reduce(evidences) - np.log(len(evidences)))
-        return evidence, best[1], best[2]
+        ])  # fmt: skip
 
 
 def type_laws(

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Contrast
-from pytest_twin.changes.evidence import Tempering, estimate, evidence_of, gains_of
+from pytest_twin.changes.evidence import (
+    Estimate,
+    Tempering,
+    estimated,
+    evidence_of,
+    sizes,
+)
 from pytest_twin.changes.joint_friction import JointFriction, joint_frictions
 from pytest_twin.changes.motor_types import TypeLaw
 from pytest_twin.estimation.hypothesis import Term
@@ -59,7 +66,7 @@ def best_possible(
     Args:
         largest: (columns,) largest possible change of each amplitude.
     """
-    evidence = evidence_of(contrast, shapes, tempering)
+    evidence = evidence_of(contrast, shapes, tempering.inflation)
     position = {id(shape): k for k, shape in enumerate(shapes)}
     while True:
         named = best_change(contrast, shapes, types, tempering, evidence)
@@ -87,56 +94,132 @@ def best_change(
 
     The gain is not yet known.
     """
-    of_types = [law.estimate(contrast, tempering.inflation) for law in types]
-    pairs = joint_frictions(shapes)
-    of_pairs = [estimate(contrast, pair.columns, tempering.inflation) for pair in pairs]
-    every = np.concatenate([evidence, [one[0] for one in (*of_types, *of_pairs)]])
-    terms = [
-        *(shape.term for shape in shapes), *(law.term for law in types),
-        *(pair.term for pair in pairs),
-    ]  # fmt: skip
-    probability = probabilities(terms, every, tempering)
-    alone = dict(probability)
-    for pair in {pair.term: pair for pair in pairs}.values():
-        of_both = probability.pop(pair.term)
-        for k in pair.members:
-            probability[shapes[k].term] += of_both
+    candidates = _Candidates(contrast, shapes, types, joint_frictions(shapes), tempering, evidence)
+    alone = candidates.probability()
+    probability = candidates.shared_with_members(alone)
     term = max(probability, key=lambda law: probability[law])
-    with_term = [
-        (pair, of_pair)
-        for pair, of_pair in zip(pairs, of_pairs, strict=True)
-        if term in [shapes[k].term for k in pair.members] and alone[pair.term] > alone[term]
-    ]
-    if with_term:
-        pair, (_, value, covariance) = max(with_term, key=lambda each: each[1][0])
-        if tempering.significant(value, covariance).all():
-            return _of_pair(pair, shapes, value, covariance, probability)
-    best = max(
-        (k for k, candidate in enumerate(terms) if candidate == term), key=lambda k: float(every[k])
+    return (
+        candidates.both_frictions(term, alone, probability)
+        or candidates.whole_type(term, probability)
+        or [candidates.one_law(term, probability)]
     )
-    confidence = probability[term]
-    if best >= len(shapes):
-        law, (_, value, covariance) = types[best - len(shapes)], of_types[best - len(shapes)]
-        gains, penalties = gains_of(contrast, shapes)
-        shown = gains / tempering.inflation > penalties
-        changed = [k for k in law.members if shown[k]]
-        if len(changed) != 1:
-            return _of_type(law, shapes, value, covariance, confidence, _rivals(probability, term))
-        # Only one of its joints changed.
-        best, replaced = changed[0], term
-        term = shapes[best].term
-        confidence += probability[term]
-        del probability[replaced]
-    _, value, covariance = estimate(contrast, shapes[best].indices, tempering.inflation)
-    simpler = _simplest(shapes, best, tempering.significant(value, covariance), evidence)
-    if simpler != best:
-        best, replaced = simpler, term
-        term = shapes[best].term
-        if term != replaced:
-            confidence += probability[term]
-            del probability[replaced]
-        _, value, covariance = estimate(contrast, shapes[best].indices, tempering.inflation)
-    return [Change(shapes[best], value, covariance, confidence, _rivals(probability, term))]
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Explanations of a difference: each law in each shape, laws of motor types, two frictions.
+
+    Attributes:
+        evidence: (shapes,) log evidence of each shape against no change.
+    """
+
+    contrast: Contrast
+    shapes: Sequence[Shape]
+    types: Sequence[TypeLaw]
+    pairs: Sequence[JointFriction]
+    tempering: Tempering
+    evidence: FloatArray
+
+    def probability(self) -> dict[Term, float]:
+        """Law, law of a type or two frictions -> probability among all of them and no change."""
+        others = [*self._of_types, *self._of_pairs]
+        terms = [
+            *(shape.term for shape in self.shapes), *(law.term for law in self.types),
+            *(pair.term for pair in self.pairs),
+        ]  # fmt: skip
+        evidence = np.concatenate([self.evidence, *(one.evidence for one in others)])
+        return probabilities(terms, evidence, self.tempering)
+
+    def shared_with_members(self, alone: Mapping[Term, float]) -> dict[Term, float]:
+        """Probabilities in which each of two frictions has that of both together as well."""
+        probability = dict(alone)
+        for pair in {pair.term: pair for pair in self.pairs}.values():
+            of_both = probability.pop(pair.term)
+            for k in pair.members:
+                probability[self.shapes[k].term] += of_both
+        return probability
+
+    def both_frictions(
+        self, term: Term, alone: Mapping[Term, float], probability: Mapping[Term, float]
+    ) -> list[Change]:
+        """Two frictions of a joint if they are likelier than one of them; else nothing.
+
+        Args:
+            alone: probabilities without those of two frictions.
+        """
+        likelier = [
+            (pair, estimate)
+            for pair, estimate in zip(self.pairs, self._of_pairs, strict=True)
+            if term in [self.shapes[k].term for k in pair.members]
+            and alone[pair.term] > alone[term]
+        ]
+        if not likelier:
+            return []
+        pair, estimate = max(likelier, key=lambda each: float(each[1].evidence[0]))
+        value, covariance = estimate.value[0], estimate.covariance[0]
+        if not self.tempering.significant(value, covariance).all():
+            return []
+        return _of_pair(pair, self.shapes, value, covariance, probability)
+
+    def whole_type(self, term: Term, probability: dict[Term, float]) -> list[Change]:
+        """Changes of all joints of a motor type, or of the only one that changed; else nothing."""
+        of_law = [k for k, law in enumerate(self.types) if law.term == term]
+        if not of_law:
+            return []
+        best = max(of_law, key=lambda k: float(self._of_types[k].evidence[0]))
+        law, estimate = self.types[best], self._of_types[best]
+        members = [self.shapes[k] for k in law.members]
+        of_members = evidence_of(self.contrast, members, self.tempering.inflation)
+        if np.count_nonzero(of_members > 0.0) == 1:
+            only = law.members[int(of_members.argmax())]
+            return [self._change(only, _renamed(probability, term, self.shapes[only].term))]
+        return _of_type(
+            law, self.shapes, estimate.value[0], estimate.covariance[0], probability[term],
+            _rivals(probability, term),
+        )  # fmt: skip
+
+    def one_law(self, term: Term, probability: dict[Term, float]) -> Change:
+        """Change of one law in its best shape."""
+        of_law = [k for k, shape in enumerate(self.shapes) if shape.term == term]
+        return self._change(max(of_law, key=lambda k: float(self.evidence[k])), probability)
+
+    def _change(self, shape: int, probability: dict[Term, float]) -> Change:
+        """Change of a shape, or of a simpler one with all its significant amplitudes."""
+        value, covariance = self._amplitudes(shape)
+        significant = self.tempering.significant(value, covariance)
+        simpler = _simplest(self.shapes, shape, significant, self.evidence)
+        if simpler != shape:
+            terms = self.shapes[shape].term, self.shapes[simpler].term
+            shape, probability = simpler, _renamed(probability, *terms)
+            value, covariance = self._amplitudes(shape)
+        term = self.shapes[shape].term
+        return Change(
+            self.shapes[shape], value, covariance, probability[term], _rivals(probability, term)
+        )
+
+    def _amplitudes(self, shape: int) -> tuple[FloatArray, FloatArray]:
+        columns = self.shapes[shape].indices
+        estimate = self._estimated(columns, sizes(np.eye(len(columns))))
+        return estimate.value[0], estimate.covariance[0]
+
+    @cached_property
+    def _of_types(self) -> list[Estimate]:
+        return [self._estimated(law.columns, law.priors()) for law in self.types]
+
+    @cached_property
+    def _of_pairs(self) -> list[Estimate]:
+        return [self._estimated(pair.columns, sizes(np.eye(2))) for pair in self.pairs]
+
+    def _estimated(self, columns: NDArray[np.intp], priors: FloatArray) -> Estimate:
+        return estimated(self.contrast, columns[None], priors, self.tempering.inflation)
+
+
+def _renamed(probability: Mapping[Term, float], old: Term, new: Term) -> dict[Term, float]:
+    """Probabilities in which a law has that of a richer one, which is gone."""
+    if old == new:
+        return dict(probability)
+    others = {term: p for term, p in probability.items() if term != old}
+    return {**others, new: probability[new] + probability[old]}
 
 
 def _of_pair(

@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Background, Contrast, Information, Rows
-from pytest_twin.changes.evidence import TWO_SIDED, Tempering, evidence_of, gains_of
+from pytest_twin.changes.evidence import TWO_SIDED, Tempering, evidence_of, inflation_of
 from pytest_twin.changes.scatter import Scatter, SessionSums, scatter_of
 from pytest_twin.identification.effort.law_columns import Shape
 
@@ -243,20 +243,13 @@ def _null(
     left_out: Sequence[Contrast], shapes: Sequence[Shape], freedom: int
 ) -> tuple[Null, Tempering]:
     """Scores of sessions that are left out, and the tempering of later scores."""
-    gains = np.array([gains_of(contrast, shapes)[0] for contrast in left_out])
-    per_amplitude = 2.0 * gains / np.array([len(shape.columns) for shape in shapes])
-    joints = np.array([shape.term.joint for shape in shapes])
 
-    def tempering(used: NDArray[np.bool_], freedom: int) -> Tempering:
-        ratios = [
-            max(float(per_amplitude[used][:, joints == joint].mean()), 1.0)
-            for joint in np.unique(joints)
-        ]
-        return Tempering(float(np.exp(np.mean(np.log(ratios)))), max(freedom, 1))
+    def tempering(used: Sequence[Contrast], freedom: int) -> Tempering:
+        return Tempering(inflation_of(used, shapes), max(freedom, 1))
 
-    every = np.arange(len(left_out))
     scores = []
     for at, contrast in enumerate(left_out):
-        of_others = tempering(every != at, freedom - 1)
-        scores.append(of_others.score(shapes, evidence_of(contrast, shapes, of_others)))
-    return Null(np.array(scores)), tempering(every >= 0, freedom)
+        of_others = tempering([*left_out[:at], *left_out[at + 1 :]], freedom - 1)
+        evidence = evidence_of(contrast, shapes, of_others.inflation)
+        scores.append(of_others.score(shapes, evidence))
+    return Null(np.array(scores)), tempering(left_out, freedom)
