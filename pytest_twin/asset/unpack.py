@@ -28,7 +28,7 @@ from pytest_twin.errors import (
     TwinError,
     cannot_write,
 )
-from pytest_twin.formats.paths import open_regular
+from pytest_twin.formats.paths import CHECKOUT, open_regular
 
 _BLOCK = 2**20
 """Number of bytes that are copied at once."""
@@ -63,6 +63,9 @@ LIMITS = IntakeLimits()
 
 def unpack(origin: str, folder: str, limits: IntakeLimits = LIMITS) -> list[str]:
     """Copy every file of an archive or a folder into an empty folder, read-only.
+
+    Files of version control itself, such as ``.git``, are left out: they differ between clones of
+    one revision, and git would not add the folder around them.
 
     Args:
         origin: a zip, a tar (plain, gzip, bzip2, xz), or a folder.
@@ -117,7 +120,9 @@ class _Target:
         return LimitError(problem, path=self.origin, value=name, expected=expected)
 
     def put(self, name: str, stream: IO[bytes]) -> None:
-        """Write one file."""
+        """Write one file, unless it belongs to version control."""
+        if not CHECKOUT.isdisjoint(PurePosixPath(name).parts):
+            return
         place = self._place(name)
         target = self.folder / place
         self._folders(target.parent)
@@ -182,6 +187,8 @@ def _folder(path: Path, target: _Target) -> None:
     while waiting:
         below = waiting.pop()
         for entry in sorted(os.scandir(path / below), key=lambda entry: entry.name):
+            if entry.name in CHECKOUT:
+                continue
             place = below / entry.name
             if len(place.parts) > target.limits.depth:
                 raise target.limit("folders too deep", str(place), f"{target.limits.depth}")

@@ -20,6 +20,8 @@ _POINTER, _POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 1024
 (https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md)."""
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
 
+CHECKOUT = frozenset({".git", ".hg", ".svn", ".jj"})
+"""Names under which version control keeps its own files, beside the files that it tracks."""
 _PACKAGE = "package.xml"
 """File that marks the folder of a ROS package."""
 

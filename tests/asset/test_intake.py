@@ -162,6 +162,19 @@ def test_a_folder_with_a_link_is_refused(tmp_path: Path) -> None:
         unpack_archive(tmp_path / "asset")
 
 
+def test_files_of_version_control_are_left_out(tmp_path: Path) -> None:
+    clone = tmp_path / "clone"
+    (clone / ".git/hooks").mkdir(parents=True)
+    (clone / ".git/hooks/update").symlink_to("/etc/passwd")
+    (clone / "part").mkdir()
+    (clone / "part/.git").write_text("gitdir: ../.git/modules/part")
+    (clone / "part/.gitignore").write_text("*.bak")
+    (clone / "robot.urdf").write_text("<robot/>")
+    assert unpack_archive(clone) == ["part/.gitignore", "robot.urdf"]
+    packed = write_tar(tmp_path / "asset", ("a/.git/HEAD", b"ref"), ("a/robot.urdf", b"<robot/>"))
+    assert unpack_archive(packed) == ["a/robot.urdf"]
+
+
 KINDS = {
     "docs/manual.pdf": "manual",
     "docs/User_Guide.md": "manual",

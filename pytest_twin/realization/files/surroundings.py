@@ -7,9 +7,9 @@ import stat
 import tempfile
 from pathlib import Path
 
+from pytest_twin.formats.paths import CHECKOUT
 from pytest_twin.realization.files.root import Folder, Mark
 
-_CHECKOUT = (".git", ".hg", ".svn", ".jj")
 # A folder that `pytest-twin intake` keeps, and the manifest next to it.
 _INTAKE, _MANIFEST = "source", "manifest.json"
 _SYSTEM = frozenset(
@@ -49,7 +49,7 @@ def _mark(folder: Path) -> Mark | None:
         return "package"
     if folder.name == _INTAKE and (folder.parent / _MANIFEST).is_file():
         return "intake"
-    if any((folder / name).exists() for name in _CHECKOUT):
+    if any((folder / name).exists() for name in CHECKOUT):
         return "checkout"
     return None
 
