@@ -53,8 +53,8 @@ _SERIES: dict[str, Any] = {
     "type": "object",
     "properties": {name: {"type": "number"} for name in ("measured", "predicted", "residual")},
 }
-_PANELS = 6
-"""Largest number of joints with a plot in the layout."""
+PLOTTED_JOINTS = 6
+"""Largest number of joints with a plot in a layout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,10 +148,10 @@ def layout(comparison: Comparison) -> dict[str, Any]:
             "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 4.0}},
         }
     }
-    for joint in list(comparison.joints)[:_PANELS]:
+    for joint in list(comparison.joints)[:PLOTTED_JOINTS]:
         topic = topic_of(joint)
         panels[f"Plot!{topic.removeprefix('/joints/')}"] = {
-            "title": joint,
+            "foxglovePanelTitle": joint,
             "showLegend": True,
             "isSynced": True,
             "xAxisVal": "timestamp",

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pytest_twin.errors import FormatError
-from pytest_twin.formats.viewer_mcap import Comparison
+from pytest_twin.formats.viewer_mcap import PLOTTED_JOINTS, Comparison
 
-_COLOURS = {"measured": (158, 166, 178), "predicted": (13, 102, 204)}
+if TYPE_CHECKING:
+    from rerun.blueprint import Blueprint
+
+_COLOURS = {"measured": (158, 166, 178, 255), "predicted": (13, 102, 204, 140)}
 
 
 def write_rerun(path: Path, comparison: Comparison) -> None:
@@ -27,7 +31,7 @@ def write_rerun(path: Path, comparison: Comparison) -> None:
             expected="pip install 'pytest-twin[rerun]'",
         ) from None
     recording = rerun.RecordingStream("pytest-twin")
-    recording.save(str(path))
+    recording.save(str(path), default_blueprint=_blueprint(comparison))
     recording.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     seconds = (comparison.stamp - comparison.stamp[0]) * 1e-9
     drawn = rerun.TimeColumn("time", duration=seconds[comparison.drawn])
@@ -59,3 +63,15 @@ def write_rerun(path: Path, comparison: Comparison) -> None:
             columns = rerun.Scalars.columns(scalars=scalars)
             recording.send_columns(f"joints/{part}/{name}", indexes=[time], columns=columns)
     recording.disconnect()
+
+
+def _blueprint(comparison: Comparison) -> Blueprint:
+    """Both robots beside a plot for each joint, as in the layout of the MCAP file."""
+    from rerun import blueprint, escape_entity_path_part
+
+    plots = [
+        blueprint.TimeSeriesView(origin=f"joints/{escape_entity_path_part(joint)}", name=joint)
+        for joint in list(comparison.joints)[:PLOTTED_JOINTS]
+    ]
+    robots = blueprint.Spatial3DView(origin="/", name="measured and predicted")
+    return blueprint.Blueprint(blueprint.Horizontal(robots, blueprint.Vertical(*plots)))
