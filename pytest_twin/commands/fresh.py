@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     dataset: Path = args.dataset
     found = stamps.read(dataset)
     root = stamps.twin_that_stamped(dataset, found) if args.twin is None else twin_folder(args.twin)
-    stated = _stamped_release(dataset, found, root)
+    stated, notes = _stamped_release(dataset, found, root)
     folder = release_folder(root, stated.number)
     with (
         temporary_folder() as scratch,
@@ -71,8 +71,10 @@ def run(args: argparse.Namespace) -> int:
                 "today": str(root / FILE_NAME),
                 "dataset": str(dataset.absolute()),
                 "stamped": stamps.variants(found),
+                "joints": next(one.stamp.joints for one in found if one.stamp is not None),
             },
         )
+    document["notes"] += notes
     newest = release.newest(root)
     twin = load_twin(root / FILE_NAME)
     chain = chain_of(twin)
@@ -94,8 +96,10 @@ def run(args: argparse.Namespace) -> int:
     return FRESH if document["verdict"] == "fresh" else STALE
 
 
-def _stamped_release(dataset: Path, found: list[stamps.StampedFile], root: Path) -> release.Release:
-    """Return the release of the stamp, after verifying the stamp."""
+def _stamped_release(
+    dataset: Path, found: list[stamps.StampedFile], root: Path
+) -> tuple[release.Release, list[str]]:
+    """Return the release of the stamp, after verifying the stamp, and notes on the data."""
     verdicts = stamps.judge(found, stamps.keys_of(dataset, found, root / "keys"))
     for path, verdict in verdicts.items():
         if not verdict.holds or verdict.release is None:
@@ -106,7 +110,7 @@ def _stamped_release(dataset: Path, found: list[stamps.StampedFile], root: Path)
             )
     stated = next(iter(verdicts.values())).release
     assert stated is not None
-    return stated
+    return stated, [f"{path.name}: {v.note}" for path, v in verdicts.items() if v.note]
 
 
 def _words(document: dict[str, Any]) -> list[str]:

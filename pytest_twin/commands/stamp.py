@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from pytest_twin.commands import json_output, model_files
+from pytest_twin.commands.recording_arguments import parse_joints
 from pytest_twin.commands.release_folder import RELEASE_HELP, release_folder
 from pytest_twin.commands.terminal import show_lines
 from pytest_twin.release import stamps
@@ -43,7 +44,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f"{part} that all data were made with, as in {part}s: of twin.yaml (default: the "
             "one that the metadata of each MCAP file name, else none is stamped)",
         )
+    parser.add_argument(
+        "--joints",
+        metavar="prefix=left_|RECORDED=RELEASED,...|none",
+        type=_parse_joints,
+        default={},
+        help="joint names of the data: a prefix or suffix of the release's names, or single names; "
+        "none if the data name no joints (default: 'joints:' of twin.yaml)",
+    )
     model_files.add_root(parser)
+
+
+def _parse_joints(text: str) -> dict[str, str] | None:
+    return None if text == "none" else parse_joints(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
         release_folder(args.release),
         payload=args.payload,
         controller=args.controller,
+        joints=args.joints,
     )
     first = found[0].stamp
     assert first is not None
@@ -71,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
                     "path": str(one.carrier.path),
                     "sha256": one.stamp.data,
                     "target": str(one.target) if one.target is not None else None,
+                    "unknown_joints": [] if one.joints is None else list(one.joints.unknown),
                 }
                 for one in found
                 if one.stamp is not None
@@ -90,6 +105,11 @@ def run(args: argparse.Namespace) -> int:
         f"{first.ids['release']} does not declare: the stamp names none"
         for one in found
         for part, name in one.undeclared.items()
+    ]
+    lines += [
+        f"  note: {one.carrier.path.name}: {one.joints.note}"
+        for one in found
+        if one.joints is not None and one.joints.note
     ]
     show_lines(lines)
     return DONE

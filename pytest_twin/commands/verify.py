@@ -125,7 +125,12 @@ def _verify_stamps(args: argparse.Namespace) -> int:
     holds = all(verdict.holds for verdict in verdicts.values())
     first = next((one.stamp for one in found if one.stamp is not None), None)
     listed = [
-        {"path": str(path), "holds": verdict.holds, "problems": list(verdict.problems)}
+        {
+            "path": str(path),
+            "holds": verdict.holds,
+            "problems": list(verdict.problems),
+            "note": verdict.note,
+        }
         for path, verdict in verdicts.items()
     ]
     json_output.give(
@@ -142,6 +147,7 @@ def _verify_stamps(args: argparse.Namespace) -> int:
     if holds:
         lines.append(f"  {counted(len(found), 'stamped file')}, signed by a trusted key")
     lines += [f"  {path}: {problem}" for path, v in verdicts.items() for problem in v.problems]
+    lines += [f"  note: {path}: {v.note}" for path, v in verdicts.items() if v.note]
     show_lines(lines)
     return HOLDS if holds else DOES_NOT_HOLD
 

@@ -28,6 +28,7 @@ from pytest_twin.provenance.poses import (
     Poses,
     draw_poses,
     first_seconds,
+    joints_of,
     poses_of,
     recordings_of,
     variants_of,
@@ -35,6 +36,7 @@ from pytest_twin.provenance.poses import (
 from pytest_twin.realization import Realization, load
 from pytest_twin.realization.encoders import calibration_of
 from pytest_twin.realization.record_inputs import replaced_parts, states_of_records
+from pytest_twin.recording_options import JointNames
 from pytest_twin.records.state import RecordState, is_source_part, source_part
 from pytest_twin.staleness import changes, twin_parts
 from pytest_twin.twin import FreshPolicy, JointCalibration, Twin, load_twin
@@ -99,7 +101,11 @@ def _digest(file: str) -> str | None:
 
 
 def differences(
-    before: str, today: str, dataset: str, stamped: Mapping[str, Sequence[str]]
+    before: str,
+    today: str,
+    dataset: str,
+    stamped: Mapping[str, Sequence[str]],
+    joints: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """All changes between two versions of a twin, with their size and their effect on a data set.
 
@@ -107,6 +113,7 @@ def differences(
         before, today: ``twin.yaml`` of the released and the present version.
         dataset: data set or policy that was made with the released version.
         stamped: ``controller`` and ``payload`` -> names in its stamps.
+        joints: mapping from joint names of the data to the released ones, as in the stamp.
 
     Returns:
         JSON-able: ``changes``, ``tcp``, ``moved`` (m, rad), ``poses``, ``tolerance``, ``verdict``
@@ -119,7 +126,12 @@ def differences(
     stated = {part: names[0] for part, names in stamped.items() if len(names) == 1}
     recordings = [
         replace(recording, metadata={**stated, **recording.metadata})
-        for recording in recordings_of(Path(dataset), new.twin)
+        for recording in recordings_of(
+            Path(dataset),
+            new.twin,
+            JointNames.of(joints or {}),
+            old.realization.structure.joint_type,
+        )
     ]
     poses = poses_of(recordings, new.realization.structure, new.twin)
     shown = poses or draw_poses(new.realization.structure)
@@ -214,6 +226,8 @@ class _Differences:
             matters, why = True, "no model shows its effect on this data"
         elif layer in ("controller", "payload") and self._is_unused(layer, name):
             matters, why = False, f"no recording of this data names this {layer}"
+        elif layer == "joint" and self._is_lost(ident, name):
+            matters, why = True, "the data may use this joint, and only one version has it"
         elif layer == "calibration":
             found = self._zero(name)
             size = None if found is None else found.to_json()
@@ -261,6 +275,12 @@ class _Differences:
             if change.accepted is not None
         )
         return False, f"stated not to touch record {state.record.id!r}: {stated}", reasons
+
+    def _is_lost(self, ident: str, joint: str) -> bool:
+        """Whether only one version has a joint, and the data name it or name no joints."""
+        named = {name for one in self.recordings for name in joints_of(one, self.new.twin)}
+        in_both = ident in self.old.parts and ident in self.new.parts
+        return not in_both and (joint in named or not named)
 
     def _is_unused(self, layer: str, name: str) -> bool:
         named = self.variants[layer]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,8 @@ from pytest_twin.dependency import Structure
 from pytest_twin.errors import FormatError, RecordingError
 from pytest_twin.formats.recording import Recording
 from pytest_twin.formats.stamps import carriers_of
+from pytest_twin.formats.stamps.joint_names import are_numbers
+from pytest_twin.recording_options import JointNames
 from pytest_twin.trial.joint_side import states_at_joints
 from pytest_twin.trial.joints import in_model_names, name_by_actuators
 from pytest_twin.trial.read import recordings_at
@@ -39,19 +41,45 @@ class Poses:
     source: str
 
 
-def recordings_of(dataset: Path, twin: Twin) -> list[Recording]:
+def recordings_of(
+    dataset: Path, twin: Twin, names: JointNames, joints: Collection[str]
+) -> list[Recording]:
     """Recordings of a data set; empty for a policy, and for HDF5, which has no joint names.
+
+    Args:
+        names: mapping from joint names of the data to ``joints``, those of the released twin.
 
     Raises:
         TwinError: a damaged recording.
     """
     try:
-        return recordings_at(dataset, twin.topics, twin.recordings)
+        found = recordings_at(dataset, twin.topics, twin.recordings)
     except FormatError:
         files = [c.path for c in carriers_of(dataset) if c.path.suffix.lower() == ".mcap"]
         if files == [dataset]:
             raise
-    return [one for file in files for one in recordings_at(file, twin.topics, twin.recordings)]
+        found = [one for file in files for one in recordings_at(file, twin.topics, twin.recordings)]
+    return [_renamed(one, names, joints) for one in found]
+
+
+def _renamed(recording: Recording, names: JointNames, joints: Collection[str]) -> Recording:
+    series = {
+        role: replace(one, names=tuple(names.in_model(name, joints) for name in one.names))
+        for role, one in recording.series.items()
+    }
+    return replace(recording, series=series)
+
+
+def joints_of(recording: Recording, twin: Twin) -> set[str]:
+    """Joints of states and commands, by their names in the twin or, unknown to it, as recorded.
+
+    Values that are numbered from 0 for lack of names are left out.
+    """
+    mapping = twin.recordings.joints
+    lists = (
+        tuple(mapping.in_model(name, ()) for name in s.names) for s in recording.series.values()
+    )
+    return {name for names in lists if not are_numbers(names) for name in names}
 
 
 def poses_of(recordings: Sequence[Recording], structure: Structure, twin: Twin) -> Poses | None:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any
+from typing import Any, TypeGuard
 
 from securesystemslib.signer import Key
 
@@ -28,6 +28,8 @@ PARTS = ("asset", "calibration", "fit", "controller", "validation")
 """Members of the twin in a stamp, each with ``id`` and ``digest``."""
 _TUPLE = ("twin", "series", "release", *PARTS, "payload", "declared")
 _FIELDS = {"schema", *_TUPLE, "data", "stamped", "envelope"}
+NO_MAPPING: Mapping[str, str] = {}
+"""For data with the joint names of the release."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +42,15 @@ class Stamp:
         data: SHA-256 of the content at the time of the stamp, hex.
         stamped: time of the stamp, RFC 3339, UTC.
         envelope: signed envelope of the release.
+        joints: mapping from joint names of the data to the release's, in the form of ``joints:`` in
+            ``twin.yaml``; None if the data are stated to name no joints.
     """
 
     ids: Mapping[str, Any]
     data: str
     stamped: str
     envelope: bytes
+    joints: Mapping[str, str] | None = field(default_factory=lambda: NO_MAPPING)
 
     @property
     def name(self) -> str:
@@ -60,6 +65,7 @@ class Stamp:
             "data": {"sha256": self.data},
             "stamped": self.stamped,
             "envelope": json.loads(self.envelope),
+            **({} if self.joints == {} else {"joints": self.joints}),
         }
         return json.dumps(fields, indent=1) + "\n"
 
@@ -70,12 +76,14 @@ def make(
     data: str,
     now: datetime,
     variants: Mapping[str, str | None] | None = None,
+    joints: Mapping[str, str] | None = NO_MAPPING,
 ) -> Stamp:
     """Create the stamp of a release for data with the SHA-256 ``data``.
 
     Args:
         data: SHA-256 of the content, hex.
         variants: ``payload`` and ``controller`` of the data; left out if they are not known.
+        joints: as in :class:`Stamp`.
 
     Raises:
         ReleaseError: the release states no digests, or lacks the payload or controller.
@@ -93,7 +101,7 @@ def make(
                 else f"a release whose twin.yaml declares it under {part}s:",
             )
         ids[part] = {**ids[part], "id": name}
-    return Stamp(ids, data, timestamp(now), envelope)
+    return Stamp(ids, data, timestamp(now), envelope, joints)
 
 
 def variants_of(release: Release, part: str) -> list[str]:
@@ -154,11 +162,14 @@ def parse(text: str) -> Stamp:
         fields = json.loads(text)
     except (ValueError, RecursionError):
         raise wrong from None
-    if not isinstance(fields, dict) or set(fields) != _FIELDS or fields["schema"] != SCHEMA:
+    if not isinstance(fields, dict) or fields.keys() - {"joints"} != _FIELDS:
         raise wrong
     data = fields["data"]
+    joints = fields.get("joints", NO_MAPPING)
     known = (
-        isinstance(data, dict)
+        fields["schema"] == SCHEMA
+        and (joints is None or is_mapping(joints))
+        and isinstance(data, dict)
         and isinstance(data.get("sha256"), str)
         and isinstance(fields["stamped"], str)
         and isinstance(fields["envelope"], dict)
@@ -170,7 +181,13 @@ def parse(text: str) -> Stamp:
         data["sha256"],
         fields["stamped"],
         canonical_json.dump(fields["envelope"]),
+        joints,
     )
+
+
+def is_mapping(given: object) -> TypeGuard[dict[str, str]]:
+    """Whether a value maps text to text."""
+    return isinstance(given, dict) and all(isinstance(text, str) for text in given.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,10 +197,12 @@ class StampVerdict:
     Attributes:
         release: release in the envelope, None if it is not authentic.
         problems: reasons why the stamp is not valid; empty for a valid one.
+        note: what a valid stamp does not cover, in words.
     """
 
     release: Release | None
     problems: tuple[str, ...] = ()
+    note: str = ""
 
     @property
     def holds(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,10 +15,12 @@ from pytest_twin.formats.stamps.mcap import McapStamp
 from pytest_twin.release import accepted_releases, stamp
 from pytest_twin.release import folder as folders
 from pytest_twin.release import keys as trusted_keys
+from pytest_twin.release.data_joints import DataJoints, compare_joints
 from pytest_twin.release.restore import read_authentic
 from pytest_twin.release.stamp import Stamp, StampVerdict
 from pytest_twin.release.stamp_sandbox import carriers_in_child
 from pytest_twin.twin import find_twin
+from pytest_twin.words import list_names
 
 _SERIES = frozenset("0123456789abcdef")
 
@@ -39,6 +41,7 @@ class StampedFile:
     stamp: Stamp | None
     problem: str = ""
     undeclared: Mapping[str, str] = field(default_factory=dict)
+    joints: DataJoints | None = None
     target: Path | None = None
 
 
@@ -48,6 +51,7 @@ def put(
     *,
     payload: str | None = None,
     controller: str | None = None,
+    joints: Mapping[str, str] | None = stamp.NO_MAPPING,
     now: datetime | None = None,
 ) -> list[StampedFile]:
     """Stamp all files of a data set, or a policy, with a release.
@@ -59,11 +63,13 @@ def put(
         release_folder: folder of an authentic, undamaged release.
         payload, controller: those that all data were made with; None for those that the metadata of
             each recording name.
+        joints: mapping of joint names, as in :class:`~pytest_twin.release.stamp.Stamp`.
         now: time of the stamp; the present time if None.
 
     Raises:
         ReleaseError: the release is not authentic, is damaged, states no digests, or lacks the
-            payload or controller; or a recording names another one.
+            payload or controller; a recording names another one; or a file names joints, none of
+            which the release has.
         PathError: a file is a link.
         TwinError: a file that cannot contain a stamp, is damaged, or cannot be written.
     """
@@ -83,6 +89,16 @@ def put(
                 expected="a copy of the file, not a link (git annex unlock FILE, dvc unprotect "
                 "FILE), which is then stamped",
             )
+        compared = compare_joints(carrier.path, released, joints)
+        if compared.are_foreign:
+            raise ReleaseError(
+                f"data of another robot: release {released.number} has none of its joints",
+                path=carrier.path,
+                value=list_names(compared.unknown),
+                expected=f"{list_names(compared.released) or 'a release with joints'}; --joints "
+                "RECORDED=RELEASED,... if the same joints have other names, --joints none if these "
+                "names are no joints",
+            )
         recorded = _recorded_variants(carrier, given)
         undeclared = {
             part: name
@@ -93,10 +109,12 @@ def put(
             part: name or (None if part in undeclared else recorded.get(part))
             for part, name in given.items()
         }
-        made = stamp.make(released, envelope, carrier.digest(), now, used)
+        made = stamp.make(released, envelope, carrier.digest(), now, used, joints)
         path = carrier.path
         target = path.resolve() if path.is_symlink() else None
-        found.append(StampedFile(carrier, made, undeclared=undeclared, target=target))
+        found.append(
+            StampedFile(carrier, made, undeclared=undeclared, joints=compared, target=target)
+        )
     for one in found:
         assert one.stamp is not None
         one.carrier.write(one.stamp.to_text())
@@ -155,7 +173,7 @@ def _read(carrier: Carrier) -> StampedFile:
 def judge(
     found: list[StampedFile], keys: list[Key], *, now: datetime | None = None
 ) -> dict[Path, StampVerdict]:
-    """Verify all stamps, and that they are of one release; file -> verdict.
+    """Verify all stamps, and that they are of one release with joints of the data; file -> verdict.
 
     Raises:
         TwinError: a file cannot be read.
@@ -171,7 +189,13 @@ def judge(
         verdict = stamp.judge(one.stamp, keys, one.carrier.digest(), now)
         if first is not None and _without_variants(one.stamp) != _without_variants(first):
             other = f"stamped with {one.stamp.name}, and other files with {first.name}"
-            verdict = StampVerdict(verdict.release, (*verdict.problems, other))
+            verdict = replace(verdict, problems=(*verdict.problems, other))
+        if verdict.release is not None:
+            compared = compare_joints(path, verdict.release, one.stamp.joints)
+            verdict = replace(verdict, note=compared.note)
+            if compared.are_foreign:
+                foreign = f"data of another robot: {compared.note}"
+                verdict = replace(verdict, problems=(*verdict.problems, foreign), note="")
         verdicts[path] = verdict
     return verdicts
 

@@ -33,18 +33,18 @@ def data(released) -> Path:
     return stamped_wave(released, 1e-3)
 
 
-def stamped_wave(released, error: float) -> Path:
+def stamped_wave(released, error: float, joints: tuple[str, ...] = JOINTS, *options: str) -> Path:
     """A recording of a slow sine motion, stamped with release 1; states differ by an error, rad."""
     time = np.arange(0.0, 2.0, 0.01)
     stamps = np.rint(1e9 * time).astype(np.int64) + 10**18
     wave = np.column_stack([0.4 * np.sin(3 * time), 0.8 * np.cos(2 * time)])
     series = [
-        JointSeries("/joint_states", JOINTS, stamps, stamps, wave + error, None, None),
-        JointSeries("/joint_commands", JOINTS, stamps, stamps, wave, None, None),
+        JointSeries("/joint_states", joints, stamps, stamps, wave + error, None, None),
+        JointSeries("/joint_commands", joints, stamps, stamps, wave, None, None),
     ]
     path = released.root.parent / "wave.mcap"
     write_recording(path, series, {"controller": "soft"})
-    assert cli.main(["stamp", str(path), "--release", str(released.root)]) == 0
+    assert cli.main(["stamp", str(path), "--release", str(released.root), *options]) == 0
     return path
 
 
@@ -95,6 +95,25 @@ def test_a_change_below_the_threshold_is_listed_and_the_data_stay_fresh(
     assert [one["matters"] for one in document["changes"]] == [False]
     released.edit("twin.yaml", calibration, f"{calibration}fresh: {{translation: 0.0002}}\n")
     assert fresh(data, 1)["moved"]["translation"] == pytest.approx(0.00025, rel=1e-5)
+
+
+def test_a_renamed_joint_that_the_data_name_makes_them_stale(released, data: Path) -> None:
+    for file in ("arm.xml", "twin.yaml"):
+        text = (released.root / file).read_text()
+        (released.root / file).write_text(text.replace("elbow", "elbow_joint"))
+    document = fresh(data, 1)
+    lost = {one["part"]: one for one in document["changes"]}["mujoco/joint:elbow"]
+    assert lost["matters"]
+    assert lost["why"] == "the data may use this joint, and only one version has it"
+
+
+def test_data_with_other_joint_names_are_compared_by_the_mapping_of_their_stamp(released) -> None:
+    path = stamped_wave(released, 1e-3, ("j1", "j2"), "--joints", "j1=shoulder,j2=elbow")
+    calibration = "calibration: {id: after the fall, joints: {elbow: {offset: 0.3}}}\n"
+    released.edit("twin.yaml", "tcp: tcp\n", f"tcp: tcp\n{calibration}")
+    document = fresh(path, 1)
+    assert document["poses"]["count"] == 200
+    assert document["moved"]["translation"] == pytest.approx(0.5 * math.sin(0.15), rel=1e-9)
 
 
 def test_data_whose_actions_were_made_from_states_are_judged_by_the_actions(released) -> None:

@@ -15,6 +15,7 @@ from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.outcome import Measure, Outcome, Reason
 
 MEMBERS = ("asset", "calibration", "fit", "controller", "payload", "validation")
+JOINTS = ("shoulder_pan", "elbow_flex")
 NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
 
 MakeRelease = Callable[..., release.Release]
@@ -53,6 +54,7 @@ def make_draft(root: Path, *extra: Path, name: str = "arm", result: Outcome | No
     files = [path for folder in folders for path in folder.iterdir() if path.is_file()]
     parts = {
         "mujoco/kinematics:link1": Part("mujoco/kinematics:link1", {"position": [0.0, 0.1, 1 / 3]}),
+        **{f"mujoco/joint:{name}": Part(f"mujoco/joint:{name}", {}) for name in JOINTS},
         "library:pin": Part("library:pin", {"version": "4.1.0"}),
     }
     return release.Draft(

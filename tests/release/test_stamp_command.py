@@ -330,6 +330,91 @@ def test_a_stamped_mcap_file_has_a_complete_index(
         assert late == [i * 1000 for i in range(290, 300)]
 
 
+def write_joints(path: Path, *messages: tuple[str, ...]) -> Path:
+    """An MCAP file whose messages name joints, as JSON."""
+    from mcap.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/arm/joint_states", "json", 0)
+        for at, names in enumerate(messages):
+            text = json.dumps({"name": names, "position": [0.1] * len(names)})
+            writer.add_message(channel, at * 10**7, text.encode(), at * 10**7)
+        writer.finish()
+    return path
+
+
+def data_naming(kind: str, folder: Path, *names: str) -> Path:
+    if kind == "mcap":
+        return write_joints(folder / "move.mcap", names)
+    return write_dataset(folder / "set", [episode(0, 30)], names=names)
+
+
+@pytest.mark.parametrize("kind", ["lerobot", "mcap"])
+def test_data_of_another_robot_are_not_stamped(
+    kind: str, twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = data_naming(kind, tmp_path, "wheel_left", "wheel_right")
+    stamped(data, twin_with_two_releases, status=2)
+    assert (
+        "data of another robot: release 2 has none of its joints (got 'wheel_left, wheel_right'; "
+        "expected elbow_flex, shoulder_pan; --joints RECORDED=RELEASED"
+    ) in capsys.readouterr().err
+    assert cli.main(["verify", str(data)]) == 2
+    # With the mapping, and with the statement that these are no joints, both are stamped.
+    mapping = "wheel_left=shoulder_pan,wheel_right=elbow_flex"
+    for option in (mapping, "none"):
+        (file,) = stamped(data, twin_with_two_releases, "--joints", option)["files"]
+        assert file["unknown_joints"] == []
+        assert cli.main(["verify", str(data)]) == 0
+    stamped(data, twin_with_two_releases, "--joints", "wheel_left=shoulder_pan")
+    assert "note: " + data.name + ": not joints of the release: wheel_right" in (
+        capsys.readouterr().out
+    )
+
+
+@pytest.mark.parametrize("kind", ["lerobot", "mcap"])
+def test_a_stamp_that_an_earlier_version_put_on_data_of_another_robot_does_not_hold(
+    kind: str, twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = data_naming(kind, tmp_path, "wheel_left", "wheel_right")
+    stamped(data, twin_with_two_releases, "--joints", "none")
+    (carrier,) = carriers_of(data)
+    text = carrier.read()
+    assert text is not None
+    without = {name: value for name, value in json.loads(text).items() if name != "joints"}
+    carrier.write(json.dumps(without))
+    for command in (["verify", str(data)], ["fresh", str(data)]):
+        assert cli.main(command) in (1, 2)
+        output = capsys.readouterr()
+        assert "data of another robot: not joints of the release: wheel_left" in (
+            output.out + output.err
+        )
+
+
+def test_joints_beyond_the_release_and_in_later_messages_are_noted(
+    twin_with_two_releases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first message is of a gripper's driver, which the twin does not model."""
+    data = write_joints(tmp_path / "both.mcap", ("finger",), ("shoulder_pan", "elbow_flex"))
+    (file,) = stamped(data, twin_with_two_releases)["files"]
+    assert file["unknown_joints"] == ["finger"]
+    out = tmp_path / "verdict.json"
+    assert cli.main(["verify", str(data), "--json", str(out)]) == 0
+    (file,) = json.loads(out.read_text())["files"]
+    assert file["note"] == "not joints of the release: finger"
+    assert f"note: {data}: not joints of the release: finger" in capsys.readouterr().out
+
+
+def test_data_without_names_of_joints_are_stamped(
+    twin_with_two_releases: Path, tmp_path: Path
+) -> None:
+    data = write_dataset(tmp_path / "set", [episode(0, 30)], names=None)
+    (file,) = stamped(data, twin_with_two_releases)["files"]
+    assert file["unknown_joints"] == []
+
+
 def edit(path: Path, **changes: object) -> None:
     file = path / "meta/twin.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))

@@ -29,6 +29,7 @@ KINDS = (
     "a LeRobot data set, an MCAP file (.mcap), an HDF5 file (.h5, .hdf5), an ONNX model (.onnx), "
     "or a folder of such files"
 )
+_CONVERT = "pytest-twin convert writes other recordings as MCAP"
 
 
 def carriers_of(path: Path) -> list[Carrier]:
@@ -50,7 +51,7 @@ def carriers_of(path: Path) -> list[Carrier]:
             raise FormatError(
                 "not a data set or policy that can store a stamp",
                 path=path,
-                expected=f"{KINDS}; pytest-twin convert writes other recordings as MCAP",
+                expected=f"{KINDS}; {_CONVERT}",
             )
         return [single]
     if not stat.S_ISDIR(mode):
@@ -65,7 +66,11 @@ def carriers_of(path: Path) -> list[Carrier]:
             len(found), limits.STAMPS.files_count, "too many files for a data set", path=path
         )
     if not found:
-        raise FormatError("no file in this folder can store a stamp", path=path, expected=KINDS)
+        raise FormatError(
+            "no file in this folder can store a stamp",
+            path=path,
+            expected=f"{KINDS}; {_CONVERT}",
+        )
     return found
 
 
