@@ -15,6 +15,7 @@ from pytest_twin.formats.recording import Recording
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.common_stamps import resample_to_common_stamps
+from pytest_twin.trial.repeated_motion import without_repeated
 from pytest_twin.trial.roles import refuse_final
 
 
@@ -52,7 +53,8 @@ def read_trials(
 
     ``held_out`` decides if it is given, else the metadata ``role``. Otherwise one of every four
     whole recordings is held out. An unusable recording is left out with a note, unless it is the
-    only one of its role. Held-out recordings do not influence how the others are read.
+    only one of its role, and so is one with the motion of another one. Held-out recordings do not
+    influence how the others are read.
 
     Args:
         held_out: recordings that are not fitted; they need not be among ``recordings``.
@@ -102,6 +104,7 @@ def read_trials(
     if split is not None:
         trials, aside, said = split
         notes.append(said)
+    trials, aside = without_repeated(trials, aside, notes)
     trials = _of_one_mode(trials, None, notes)
     aside = _of_one_mode(aside, _modes(trials[0]), notes)
     usual = _usual_joints(trials)

@@ -11,6 +11,10 @@ from pytest_twin.trial.roles import HELD_OUT
 
 ONE_HELD_OUT_OF = 4
 """One recording of so many is held out if no role is given."""
+NOTHING_HELD_OUT = (
+    "nothing is held out: no result can be accepted; make a second recording and name it with "
+    "--held-out"
+)
 _Recording = TypeVar("_Recording")
 
 
@@ -52,8 +56,5 @@ def split_by_role(
             expected="at least one RECORDING that is not under --held-out",
         )
     if not aside:
-        notes.append(
-            "nothing is held out: no result can be accepted; make a second recording and name it "
-            "with --held-out"
-        )
+        notes.append(NOTHING_HELD_OUT)
     return fit, aside

@@ -12,6 +12,7 @@ from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.record_fields import (
     UNUSABLE,
     Matrix,
+    Size,
     check_square,
     digests,
     field_of,
@@ -79,7 +80,7 @@ class CalibrationRecord:
     verdict: str
     joint_zeros: Mapping[str, float]
     base_world: tuple[Vector, tuple[float, float, float, float]] | None
-    held_out: Mapping[str, float]
+    held_out: Mapping[str, Size]
     transforms: Mapping[str, Transform] = field(default_factory=dict)
     points: Mapping[str, Vector] = field(default_factory=dict)
     held_out_ids: tuple[str, ...] = ()

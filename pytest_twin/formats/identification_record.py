@@ -12,6 +12,7 @@ from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.record_fields import (
     UNUSABLE,
     Matrix,
+    Size,
     check_square,
     digests,
     field_of,
@@ -79,13 +80,13 @@ class IdentificationRecord:
     values: Mapping[str, float]
     covariance_names: tuple[str, ...]
     covariance: Matrix
-    held_out: Mapping[str, float]
+    held_out: Mapping[str, Size]
     recordings: tuple[str, ...]
     filter: tuple[float, float, float] | None
     inputs: Mapping[str, str]
     units: Mapping[str, str] = field(default_factory=dict)
     deviations: Mapping[str, float] = field(default_factory=dict)
-    position_rms: Mapping[str, float] = field(default_factory=dict)
+    position_rms: Mapping[str, Size] = field(default_factory=dict)
     without_effort: tuple[str, ...] = ()
     sensors: tuple[SensorFields, ...] = ()
     encoder_steps: Mapping[str, float] = field(default_factory=dict)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from pytest_twin.errors import FormatError
 from pytest_twin.formats import limits
@@ -12,6 +14,8 @@ from pytest_twin.formats.paths import decode_text, read_bytes
 from pytest_twin.formats.typed import FieldError
 
 Matrix = tuple[tuple[float, ...], ...]
+Size = Annotated[float, Meta(ge=0.0)]
+"""An error or another number that is not negative."""
 Z95 = 1.959964
 """Half-width of the 95 % interval of a normal distribution, in standard deviations."""
 UNUSABLE = (KeyError, TypeError, AttributeError, ValueError)

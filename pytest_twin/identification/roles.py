@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_twin.errors import RecordingError, TwinError
-from pytest_twin.estimation.roles import split_by_role
+from pytest_twin.estimation.roles import NOTHING_HELD_OUT, split_by_role
 from pytest_twin.identification.measured_recordings import (
     MeasuredRecording,
     MeasuredRecordings,
@@ -18,6 +18,7 @@ from pytest_twin.identification.measured_recordings import (
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.signals import Signals
+from pytest_twin.trial.repeated_motion import without_repeated
 
 NO_PAYLOAD = frozenset({"none", "no", "empty", "0"})
 """Names of a payload that mean that there is none."""
@@ -65,8 +66,13 @@ def read_by_role(
         notes,
         is_named=bool(held_out),
     )
-    fitted = [one for path in fit for one in known[path]]
-    tested = [one for path in aside for one in known[path]]
+    fitted, tested = without_repeated(
+        [one for path in fit for one in known[path]],
+        [one for path in aside for one in known[path]],
+        notes,
+    )
+    if aside and not tested:
+        notes.append(NOTHING_HELD_OUT)
     notes += _unknown_payloads(realization, [*fitted, *tested])
     return reduce_to_common_joints(fitted, tested, notes)
 

@@ -61,7 +61,7 @@ def load(  # noqa: PLR0913
         FormatError: not well-formed XML, or larger than a limit.
         PathError: a referenced file does not exist or is outside the roots.
         ModelError: the model cannot be simulated.
-        SpecError: the fit names an element that the model lacks.
+        SpecError: the calibration or the fit names an element that the model lacks.
     """
     # Links are resolved in the folder, as in the roots; a link in place of the file is refused.
     path = path.parent.resolve() / path.name
@@ -109,6 +109,15 @@ def load(  # noqa: PLR0913
             frozenset(converted.beside),
         )
         spec, places = converted.spec, None
+    if twin is not None and twin.calibration is not None:
+        joints = [joint.name for joint in spec.joints]
+        for joint in twin.calibration.joints:
+            if joint not in joints:
+                raise twin.error(
+                    f"calibration.joints.{joint}",
+                    "the model has no such joint",
+                    expected=patch.suggest(joint, joints),
+                )
     if fit is not None:
         patch.apply_fit(spec, fit.patches, fit.option, refuse=_fit_error(fit))
     pose = twin.calibration.transform_world_to_base if twin and twin.calibration else None

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from pytest_twin.errors import TwinError
+from pytest_twin.realization import load
 from pytest_twin.twin import load_twin
 
 MODEL = """<mujoco><worldbody><body name="a"><joint name="elbow"/><geom size="0.1"/></body>
@@ -91,6 +92,7 @@ def test_two_records_with_the_zero_of_the_same_joint_are_refused(tmp_path: Path)
     [
         ({"verdict": "rejected"}, "a calibration that is not accepted (got 'rejected'"),
         ({"held_out": None}, "a field is missing or unusable"),
+        ({"held_out": {"translation_rms": -0.001}}, "held_out.translation_rms: a field is missing"),
         ({"schema": 2}, "a field is missing or unusable: 'schema'"),
         (
             {"records": {"joint_zeros": {"values": {"elbow": {"value": "x"}}}}},
@@ -103,6 +105,25 @@ def test_an_invalid_record_is_refused(tmp_path: Path, change: dict[str, Any], wo
     with pytest.raises(TwinError) as error:
         load_twin_with(tmp_path, f"calibrations: [{{file: {file}}}]\n")
     assert words in str(error.value)
+
+
+@pytest.mark.parametrize("is_record", [True, False])
+def test_the_zero_of_a_joint_that_the_model_lacks_is_refused(
+    tmp_path: Path, is_record: bool
+) -> None:
+    """Of another robot, or misspelled: it would be left out without a word."""
+    zeros = {"joint_zeros": {"values": {"elbow_joint": {"value": 0.02, "unit": "rad"}}}}
+    file = write_record(tmp_path, "october", records=zeros)
+    twin = load_twin_with(
+        tmp_path,
+        f"calibrations: [{{file: {file}}}]\n"
+        if is_record
+        else "calibration: {id: wiring, joints: {elbow_joint: {sign: -1}}}\n",
+    )
+    with pytest.raises(TwinError) as error:
+        load(tmp_path / "model.xml", twin=twin)
+    assert "calibration.joints.elbow_joint: the model has no such joint" in str(error.value)
+    assert "expected perhaps 'elbow'" in str(error.value)
 
 
 def home_records(sign: float = 1.0) -> dict[str, Any]:

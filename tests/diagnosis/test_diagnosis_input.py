@@ -50,6 +50,7 @@ class Bench:
         noise = 1e-4 * np.random.default_rng(0).standard_normal((len(seen), 2))
         self.sent_at, self.sent = at * STEP, setpoints[at]
         self.seen_at, self.seen = seen * STEP, moved[seen] + noise
+        self.rng = np.random.default_rng(1)
 
     def add(
         self,
@@ -62,13 +63,16 @@ class Bench:
         role: str | None = None,
     ) -> Path:
         path = self.folder / name
+        if seen is None:
+            # Encoders never repeat a motion to the last digit.
+            seen = self.seen + 1e-5 * self.rng.standard_normal(self.seen.shape)
         write(
             path,
             joints,
             self.sent_at if sent_at is None else sent_at,
             self.sent[:, : len(joints)],
             self.seen_at,
-            (self.seen if seen is None else seen)[:, : len(joints)],
+            seen[:, : len(joints)],
             role,
             velocity,
         )

@@ -89,10 +89,13 @@ def test_the_parts_before_and_after_a_gap_are_trials_and_a_note_says_so(bench: B
 
 
 def test_all_parts_of_a_recording_have_the_same_role(bench: Bench) -> None:
-    paths = [bench.write_recording_with_gaps(f"{k}.mcap", bench.seen, (150, 180)) for k in "abcd"]
+    paths = [
+        bench.write_recording_with_gaps(f"{k}.mcap", bench.seen + 1e-5 * k, (150, 180))
+        for k in range(4)
+    ]
     found = bench.read(*paths)
     fit, held_out = ({t.path.name for t in role} for role in (found.fit, found.held_out))
-    assert (fit, held_out) == ({"a.mcap", "b.mcap", "c.mcap"}, {"d.mcap"})
+    assert (fit, held_out) == ({"0.mcap", "1.mcap", "2.mcap"}, {"3.mcap"})
     assert len(found.fit) == 6
 
 

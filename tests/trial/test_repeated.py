@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,16 @@ from pytest_twin.formats.recording import TOPICS
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.repeated import is_repeated
+from pytest_twin.trial.repeated_motion import without_repeated
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Measured positions, rad."""
+
+    path: Path
+    joints: tuple[str, ...]
+    position: np.ndarray
 
 
 def trial(folder: Path, name: str, *, phase: float, seconds: float, jitter: float = 0.0) -> Trial:
@@ -39,3 +50,37 @@ def test_a_motion_is_repeated_by_its_commands(
     first = trial(tmp_path, "first", phase=0.0, seconds=3.0, jitter=0.001)
     other = trial(tmp_path, "other", phase=phase, seconds=seconds, jitter=0.001)
     assert is_repeated(other, first) is is_same
+
+
+def recorded(path: str, position: np.ndarray, joints: tuple[str, ...] = ("a", "b")) -> Recorded:
+    return Recorded(Path(path), joints, position)
+
+
+def test_recordings_that_repeat_a_measured_motion_are_left_out() -> None:
+    rng = np.random.default_rng(3)
+    time = 0.01 * np.arange(600)
+    motion = np.column_stack([np.sin(2.0 * time), np.cos(3.0 * time)])
+    first, again, third = (motion + 1e-4 * rng.standard_normal(motion.shape) for _ in range(3))
+    turned = recorded("other_order.mcap", first[:, ::-1], ("b", "a"))
+    cut = recorded("cut.csv", np.round(third[100:400], 6))
+    fit = [recorded("fit.mcap", first), turned, cut]
+    held_out = [recorded("copy.mcap", first), recorded("held_out.mcap", again)]
+    held_out.append(recorded("whole.mcap", third))
+    notes: list[str] = []
+    kept = without_repeated(fit, held_out, notes)
+    assert [[one.path.name for one in some] for some in kept] == [
+        ["fit.mcap", "cut.csv"],
+        ["held_out.mcap"],
+    ]
+    assert notes == [
+        "left out: other_order.mcap: its measured motion is that of fit.mcap",
+        "left out: copy.mcap: its measured motion is that of fit.mcap",
+        "left out: whole.mcap: its measured motion is that of cut.csv",
+    ]
+
+
+def test_a_robot_at_rest_repeats_no_motion() -> None:
+    notes: list[str] = []
+    rest = [recorded(f"{name}.mcap", np.full((600, 2), 0.3)) for name in "ab"]
+    assert without_repeated(rest, [], notes) == (rest, [])
+    assert notes == []
