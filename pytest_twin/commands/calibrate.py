@@ -145,7 +145,10 @@ def _words(document: dict[str, Any], path: Path) -> list[str]:
         line = f"{name.replace('_', '-')}: {1e3 * errors['translation_rms']:.3f} mm"
         if "rotation_rms" in errors:
             line += f", {1e3 * errors['rotation_rms']:.3f} mrad"
-        lines.append(f"{line} (root mean square of {counted(errors['count'], 'observation')})")
+        lines.append(
+            f"{line} (root mean square of all coordinates; of distances "
+            f"{1e3 * errors['distance_rms']:.3f} mm; {counted(errors['count'], 'observation')})"
+        )
     worst = document["held_out"].get("worst")
     if worst is not None:
         lines.append(
