@@ -137,6 +137,27 @@ def test_nothing_is_said_of_a_robot_that_follows(course: object, seed: int) -> N
         assert notes_of(log, sent, at) == []
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_of_any_size_causes_no_note_and_hides_no_change(seed: int) -> None:
+    """Noise and resolution of the encoders are drawn from 0.01 to 40 mrad."""
+    draw = np.random.default_rng(seed)
+    level, resolution = 10.0 ** draw.uniform(-5.0, np.log10(0.04), 2)
+    command = sums_of_sines(seed)
+    position = measured(command)
+    changes = (position[:, ::-1], position * [-1.0, 1.0], position + np.array([0.31, 0.0]))
+
+    def recorded(table: Table) -> Table:
+        noisy = table + level * draw.standard_normal(table.shape)
+        return resolution * np.round(noisy / resolution)
+
+    for sent in (command, None):
+        assert notes_of(recorded(position), sent) == []
+    for change in changes:
+        assert any(
+            "'hip'" in one for one in notes_of(recorded(from_then_on(position, change)), command)
+        )
+
+
 def test_a_faster_motion_that_the_drive_cannot_follow_is_not_named() -> None:
     time = np.arange(COUNT) / RATE
     sweep = 0.4 * np.sin(2.0 * np.pi * (0.1 * time + 0.5 * 0.8 * time**2))
