@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pytest_twin.arrays import FloatArray
 from pytest_twin.dependency import Part
 from pytest_twin.errors import TwinError
@@ -34,7 +36,7 @@ from pytest_twin.provenance.poses import (
     variants_of,
 )
 from pytest_twin.realization import Realization, load
-from pytest_twin.realization.encoders import calibration_of
+from pytest_twin.realization.encoders import Encoders, calibration_of
 from pytest_twin.realization.record_inputs import replaced_parts, states_of_records
 from pytest_twin.recording_options import JointNames
 from pytest_twin.records.state import RecordState, is_source_part, source_part
@@ -49,6 +51,8 @@ NOT_MODELLED = ("topics", "declared")
 """Layers whose effect on data cannot be computed from a model."""
 _REPLAYED_SECONDS = 30.0
 """Length of the simulated part of recordings, which limits the computing time."""
+_BEYOND = 0.1
+"""Part of a joint's range by which encoders and stops may exceed it."""
 _TCP = "tcp:frame"
 
 
@@ -155,8 +159,34 @@ def differences(
             "rotation": new.twin.fresh.rotation,
         },
         "verdict": "stale" if any(one["matters"] for one in listed) else "fresh",
-        "notes": judged.notes,
+        "notes": [*_notes_on_ranges(poses, old.realization), *judged.notes],
     }
+
+
+def _notes_on_ranges(poses: Poses | None, released: Realization) -> list[str]:
+    """A note for each joint whose recorded positions lie far beyond its released range.
+
+    Joints of different robots may have the same names, such as ``joint1``.
+    """
+    notes: list[str] = []
+    if poses is None:
+        return notes
+    ranges = released.structure.joint_range
+    encoders = Encoders.of(calibration_of(released), poses.joints)
+    for joint, column in zip(poses.joints, encoders.model_position(poses.positions).T, strict=True):
+        span = ranges.get(joint)
+        if span is None:
+            continue
+        low, high = span
+        spare = _BEYOND * (high - low)
+        share = float(np.mean((column < low - spare) | (column > high + spare)))
+        if share > 0.0:
+            notes.append(
+                f"{joint}: {100.0 * share:.0f} % of the recorded positions lie far beyond the "
+                f"released range of {low:.3g} to {high:.3g}: data of another robot, or in another "
+                "unit?"
+            )
+    return notes
 
 
 def _digest_of(parts: Mapping[str, Part], ident: str) -> str | None:

@@ -116,6 +116,14 @@ def test_data_with_other_joint_names_are_compared_by_the_mapping_of_their_stamp(
     assert document["moved"]["translation"] == pytest.approx(0.5 * math.sin(0.15), rel=1e-9)
 
 
+def test_positions_far_beyond_the_released_ranges_are_noted(released) -> None:
+    """Another robot may have joints of the same names."""
+    assert fresh(stamped_wave(released, 0.0), 0)["notes"] == []
+    notes = fresh(stamped_wave(released, 40.0), 0)["notes"]
+    assert [note.partition(":")[0] for note in notes] == list(JOINTS)
+    assert all("100 % of the recorded positions lie far beyond" in note for note in notes)
+
+
 def test_data_whose_actions_were_made_from_states_are_judged_by_the_actions(released) -> None:
     """Nothing that was measured is compared: both versions follow the same actions."""
     copies = stamped_wave(released, 0.0)
