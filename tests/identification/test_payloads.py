@@ -80,11 +80,10 @@ def test_a_payload_that_the_twin_does_not_state_is_noted(tmp_path: Path) -> None
     (tmp_path / "twin.yaml").write_text(TWIN)
     robot = load(tmp_path / "model.xml", twin=load_twin(tmp_path / "twin.yaml"))
     time = np.arange(100) / 100.0
-    moved = np.column_stack([np.sin(time), np.cos(time)])
-    paths = [
-        write_mcap(tmp_path / f"{payload}.mcap", time, moved, moved, payload)
-        for payload in ("kg3", "none", "kg5")
-    ]
+    paths = []
+    for size, payload in enumerate(("kg3", "none", "kg5"), start=1):
+        moved = 0.3 * size * np.column_stack([np.sin(time), np.cos(time)])
+        paths.append(write_mcap(tmp_path / f"{payload}.mcap", time, moved, moved, payload))
     read = read_by_role(paths, [], robot, DEFAULT_TOPICS, NO_OPTIONS, NO_SIGNALS)
     (note,) = (one for one in read.notes if one.startswith("payload"))
     assert note.startswith("payload 'kg5' of kg5.mcap is not under payloads: in twin.yaml")
