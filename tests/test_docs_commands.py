@@ -29,6 +29,7 @@ PAGES = [
     *sorted(p for p in (ROOT / "docs").rglob("*.md") if "generated" not in p.parts),
 ]
 EXAMPLE = ROOT / "examples" / "carriage"
+MAINTENANCE = ROOT / "examples" / "maintenance"
 FENCE = re.compile(
     r"(?P<comments>(?:^<!--[^\n]*-->\n)*)^```(?P<language>[^\n]*)\n(?P<text>.*?)^```$",
     re.MULTILINE | re.DOTALL,
@@ -320,6 +321,23 @@ def test_from_a_log_to_a_patched_model(reader: Reader) -> None:
     outputs = reader.follows(page, fails=("pytest",))
     for text, output in zip(printed(page, "text")[1:], outputs[1:], strict=True):
         assert_printed(text, output)
+
+
+def test_a_machine_that_wears(reader: Reader) -> None:
+    """A release with a check motion; the machine wears, is repaired, or is accepted as it is."""
+    page = "docs/tutorials/worn_machine.md"
+    start = reader.folder
+    reader.folder = start / "checkout"
+    shutil.copytree(MAINTENANCE, reader.folder / "examples" / "maintenance")
+    worn = "pytest-twin diagnose twin.yaml recordings/june.csv --before 'recordings/may_*.csv' "
+    outputs = reader.follows(page, fails=(worn + "--out changes",))
+    _, check, changed, repaired = printed(page, "text")
+    for text, output in zip(
+        (check, changed, repaired), (outputs[1], outputs[4], outputs[5]), strict=True
+    ):
+        assert_printed(text, output)
+    assert "release 0001 signed" in outputs[3]
+    assert "release 0002 signed" in outputs[6]
 
 
 def test_first_release_rollback_and_stamps(reader: Reader) -> None:

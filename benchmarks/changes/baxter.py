@@ -105,7 +105,7 @@ def with_motor_types(
             kind = law.term.joint
             for r in (0.5, 1.0):
                 outcomes.setdefault(f"type, r = {r:g}", []).append(
-                    answer(robot, prepared, types, (law.term.effect, kind), r * sample)
+                    answer(robot, prepared, types, (law.term.effect, kind), r * sample, new)
                 )
             member = shapes[law.members[random.integers(len(law.members))]]
             single = np.zeros(len(robot.rows.scale))

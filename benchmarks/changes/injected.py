@@ -154,7 +154,7 @@ def in_process(
                 if r == 0.0 and of_size and of_size[-1].effect == str(new):
                     continue
                 law = (effect if r else str(new), joint)
-                of_size.append(answer(robot, prepared, (), law, r * amplitudes))
+                of_size.append(answer(robot, prepared, (), law, r * amplitudes, new))
     return outcomes
 
 
@@ -164,6 +164,7 @@ def answer(
     types: Sequence[TypeLaw],
     law: tuple[str, int],
     amplitudes: np.ndarray,
+    new: Sequence[int],
 ) -> Outcome:
     """Compare when amplitudes are added to the new recordings.
 
@@ -171,12 +172,13 @@ def answer(
         law: effect and joint that are added.
     """
     shapes, tempering = robot.shapes, prepared.tempering
+    change = robot.rows.residual_rms(new, prepared.background.mean - amplitudes)
     contrast, naming = (
         Contrast(shown.information, shown.vector + shown.information @ amplitudes)
-        for shown in (prepared.contrast, prepared.naming)
+        for shown in prepared.contrasts(change)
     )
     evidence = evidence_of(contrast, shapes, tempering.inflation)
-    named = best_possible(naming, shapes, types, tempering, robot.rows.largest)
+    named = best_possible(naming, shapes, types, tempering, robot.rows, prepared.background)
     first = named[0]
     joint = first.shape.term.joint
     if first.motor is not None:

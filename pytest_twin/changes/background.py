@@ -53,6 +53,8 @@ class Rows:
         scale: (columns,) amplitude in SI units whose effort is the RMS effort of a joint.
         sums: for each recording and joint, the sums of its scaled rows.
         largest: (columns,) largest possible change of each amplitude, relative to the RMS effort.
+        not_negative: (columns,) whether an amplitude cannot be negative, such as the extra friction
+            at rest.
     """
 
     parts: tuple[RecordedRows, ...]
@@ -60,6 +62,7 @@ class Rows:
     scale: FloatArray
     sums: tuple[tuple[SessionSums, ...], ...]
     largest: FloatArray
+    not_negative: NDArray[np.bool_]
 
     @classmethod
     def of(
@@ -68,12 +71,14 @@ class Rows:
         size: FloatArray,
         count: int,
         largest: FloatArray | None = None,
+        not_negative: NDArray[np.bool_] | None = None,
     ) -> Rows:
         """Sum the rows of recordings.
 
         Args:
             count: number of columns.
             largest: (columns,) largest possible change of each amplitude, SI units; None for any.
+            not_negative: (columns,) whether an amplitude cannot be negative; None if all can.
         """
         rms = np.zeros(count)
         for j in range(len(size)):
@@ -92,7 +97,9 @@ class Rows:
             for part in parts
         )
         limits = np.full(count, np.inf) if largest is None else largest
-        return cls(tuple(parts), size, scale, sums, limits / np.where(scale > 0.0, scale, 1.0))
+        limits = limits / np.where(scale > 0.0, scale, 1.0)
+        one_sided = np.zeros(count, dtype=bool) if not_negative is None else not_negative
+        return cls(tuple(parts), size, scale, sums, limits, one_sided)
 
     def sums_of(self, session: Sequence[int]) -> list[SessionSums]:
         """For each joint, the sums over the recordings of a session."""
@@ -189,6 +196,11 @@ class Background:
         precision = information.matrix + np.eye(len(information.vector)) / AMPLITUDE_PRIOR**2
         mean = np.asarray(np.linalg.solve(precision, information.vector), dtype=np.float64)
         return cls(mean, precision)
+
+    def deviation(self, columns: NDArray[np.intp]) -> FloatArray:
+        """(k,) standard deviation of some amplitudes."""
+        of_columns = np.linalg.solve(self.precision, np.eye(len(self.mean))[:, columns])
+        return np.asarray(np.sqrt(np.diag(of_columns[columns])))
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,6 @@ _MOST_CHANGES = 4
 """Largest number of changes that are named."""
 SURE_OF_NAME = 0.5
 """Confidence below which a change has no name."""
-_LAW_ACCURACY = 0.1
-"""Share of a named change's effort that a further change must exceed at some joint. Geometry,
-filter and friction under another load leave a few percent of a large change: no other change."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +72,17 @@ def is_unpredicted(changes: Sequence[Change], prepared: Prepared, size: FloatArr
 
 
 def _is_inaccuracy(
-    rows: Rows, later: Sequence[int], named: Sequence[Change], changes: Sequence[Change]
+    rows: Rows,
+    later: Sequence[int],
+    named: Sequence[Change],
+    changes: Sequence[Change],
+    accuracy: FloatArray,
 ) -> bool:
-    """Whether further changes are no larger than what named ones leave of their own effort."""
+    """Whether further changes are no larger than what named ones leave of their own effort.
+
+    Args:
+        accuracy: (joints,) share of an effort that laws leave.
+    """
 
     def effort(of: Sequence[Change]) -> FloatArray:
         amplitudes = np.zeros(len(rows.scale))
@@ -86,7 +91,7 @@ def _is_inaccuracy(
         every = np.concatenate([rows.effort_of(i, amplitudes) for i in later])
         return np.asarray(np.sqrt(np.mean(every**2, axis=0)))
 
-    return bool(np.all(effort(named) <= _LAW_ACCURACY * effort(changes)))
+    return bool(np.all(effort(named) <= accuracy * effort(changes)))
 
 
 def _explained_share(rows: Rows, change: Change, left: FloatArray, added: FloatArray) -> float:
@@ -122,20 +127,21 @@ def compare(
     """
     prepared = prepare(rows, sessions, later, shapes)
     background, null, tempering = prepared.background, prepared.null, prepared.tempering
-    evidence = evidence_of(prepared.contrast, shapes, tempering.inflation)
+    new = [i for session in later for i in session]
+    before = rows.residual_rms(new, background.mean)
+    rest, naming = prepared.contrasts(before)
+    evidence = evidence_of(rest, shapes, tempering.inflation)
     score, threshold = tempering.score(shapes, evidence), prepared.threshold(level)
     types = type_laws(shapes, rows.scale, motors)
     changes: list[Change] = []
-    new = [i for session in later for i in session]
     changed = background.mean.copy()
-    rest, naming = prepared.contrast, prepared.naming
     for _ in range(_MOST_CHANGES):
         if tempering.score(shapes, evidence) <= threshold:
             break
-        named = best_possible(naming, shapes, types, tempering, rows.largest)
+        named = best_possible(naming, shapes, types, tempering, rows, background)
         if named[0].confidence < SURE_OF_NAME or is_unpredicted(named, prepared, rows.size):
             break
-        if changes and _is_inaccuracy(rows, new, named, changes):
+        if changes and _is_inaccuracy(rows, new, named, changes, prepared.accuracy):
             break
         for change in named:
             columns = change.shape.indices
@@ -146,7 +152,7 @@ def compare(
             rest = rest.without(columns, change.value)
             naming = naming.without(columns, change.value)
         evidence = evidence_of(rest, shapes, tempering.inflation)
-    before, after = rows.residual_rms(new, background.mean), rows.residual_rms(new, changed)
+    after = rows.residual_rms(new, changed)
     left, added = prepared.rest(before, after)
     changes = [
         replace(change, confidence=change.confidence * _explained_share(rows, change, left, added))
@@ -158,7 +164,7 @@ def compare(
         for change in sure:
             changed[change.shape.indices] += change.value
         after = rows.residual_rms(new, changed)
-    unlike = prepared.unlike(level)
+    unlike = prepared.unlike(level, before)
     return Comparison(
         score, threshold, sure, score > threshold or bool(unlike.any()), background, null, before,
         after, prepared.usual, prepared.uncertainty, unlike,

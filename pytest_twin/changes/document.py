@@ -17,10 +17,14 @@ from pytest_twin.effects.base import si_unit
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.formats.record_fields import Z95
 
+_FRICTION = "friction"
+"""Family of the laws that are shown over velocity; others are shown over position."""
 _ACTS = 0.5
 """Fraction of a law's largest effort above which it counts as acting."""
 _MOST_WINDOWS = 8
 """Largest number of time intervals that are listed for one recording."""
+_MOST_SAMPLES = 400
+"""Largest number of samples of the difference that is shown."""
 
 
 def changes_document(found: Changes, *, level: float, release: int | None = None) -> dict[str, Any]:
@@ -103,6 +107,7 @@ def _finding(found: Changes, change: Change) -> dict[str, Any]:
         "change": moved,
         "known_before": known,
         "where": _where(found, change),
+        "difference": _difference(found, change),
         "held_out_gain": None if found.removed is None else round(found.removed, 5),
         "residual_gain": round(change.gain, 5),
         "alternatives": [
@@ -186,6 +191,41 @@ def _where(found: Changes, change: Change) -> dict[str, Any]:
         "more than half of that in the listed intervals"
     )
     return {"summary": summary, "windows": windows}
+
+
+def _difference(found: Changes, change: Change) -> dict[str, Any]:
+    """New minus earlier efforts where a change acts most, measured and as the change predicts.
+
+    The earlier efforts are those of the laws of the earlier recordings along the new motion, with
+    the other changes.
+    """
+    amplitudes, others = np.zeros(len(found.rows.scale)), found.comparison.background.mean.copy()
+    amplitudes[change.shape.indices] = change.value
+    for other in found.comparison.changes:
+        if other.shape is not change.shape:
+            others[other.shape.indices] += other.value
+    efforts = {i: found.rows.effort_of(i, amplitudes) for i in found.new}
+    i = max(efforts, key=lambda k: float(np.abs(efforts[k]).max()))
+    j = int(np.abs(efforts[i]).max(axis=0).argmax())
+    part = found.rows.parts[i]
+    recording, step = part.recording, -(-len(part.time) // _MOST_SAMPLES)
+    position = np.interp(part.time, recording.time, recording.position[:, j])
+    series = {
+        "time": recording.start + part.time,
+        "position": position,
+        "velocity": np.gradient(position, part.time),
+        "measured": found.rows.residuals([i], others)[0][:, j],
+        "change": efforts[i][:, j],
+    }
+    slide = bool(found.laws.dynamics.slides[j])
+    return {
+        "recording": recording.path.name,
+        "joint": found.laws.joints[j],
+        "unit": si_unit("effort", slide),
+        "position_unit": si_unit("position", slide),
+        "over": "velocity" if change.shape.term.law.family == _FRICTION else "position",
+        **{name: [number(x) for x in values[::step].tolist()] for name, values in series.items()},
+    }
 
 
 def _spans(time: FloatArray, acts: NDArray[np.bool_]) -> list[list[float]]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Rows
@@ -78,8 +79,10 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
     laws = along.laws
     parts, shapes, count = with_tool_load(laws, along.rows(every))
     known = np.isfinite(np.concatenate([part.effort for part in parts])).any(axis=0)
-    size = np.where(known, rms_of([one.effort for one in before]), 1.0)
-    rows = Rows.of(parts, size, count, largest_changes(laws, shapes, count))
+    size = np.where(known, rms_of([one.effort for one in every]), 1.0)
+    rows = Rows.of(
+        parts, size, count, largest_changes(laws, shapes, count), not_negative(shapes, count)
+    )
     first, last = len(before), len(before) + len(compared.new)
     refuse_other_unit(rows, range(first, last), size)
     _refuse_short(rows, sessions, shapes)
@@ -123,6 +126,19 @@ def largest_changes(laws: EffortLaws, shapes: Sequence[Shape], count: int) -> Fl
             width = (p.upper - p.lower) * laws.scales.value(p, max(shape.term.joint, 0))
             largest[column] = max(largest[column], width)
     return largest
+
+
+def not_negative(shapes: Sequence[Shape], count: int) -> NDArray[np.bool_]:
+    """(columns,) whether no law that has the amplitude admits a negative value of it."""
+    positive, any_sign = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    for shape in shapes:
+        if is_tool_load(shape):
+            any_sign[shape.indices] = True
+            continue
+        for k, column in shape.columns.items():
+            p = shape.term.parameters[k]
+            (positive if p.lower == p.neutral else any_sign)[column] = True
+    return positive & ~any_sign
 
 
 def extrapolation_notes(comparison: Comparison, joints: Sequence[str], level: float) -> list[str]:

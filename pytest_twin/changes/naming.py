@@ -8,10 +8,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from pytest_twin.arrays import FloatArray
-from pytest_twin.changes.background import Contrast
+from pytest_twin.changes.background import Background, Contrast, Rows
 from pytest_twin.changes.evidence import (
+    TWO_SIDED,
     Estimate,
     Tempering,
     estimated,
@@ -56,7 +58,8 @@ def best_possible(
     shapes: Sequence[Shape],
     types: Sequence[TypeLaw],
     tempering: Tempering,
-    largest: FloatArray,
+    rows: Rows,
+    background: Background,
 ) -> list[Change]:
     """The most probable law whose amplitudes the catalogue admits, as of :func:`best_change`.
 
@@ -64,16 +67,17 @@ def best_possible(
     encoder offset of four turns.
 
     Args:
-        largest: (columns,) largest possible change of each amplitude.
+        rows: recordings, with the bounds of the amplitudes.
+        background: the laws before the change.
     """
     evidence = evidence_of(contrast, shapes, tempering.inflation)
     position = {id(shape): k for k, shape in enumerate(shapes)}
     while True:
-        named = best_change(contrast, shapes, types, tempering, evidence)
+        named = best_change(contrast, shapes, types, tempering, evidence, rows, background)
         impossible = [
             position[id(change.shape)]
             for change in named
-            if np.any(np.abs(change.value) > largest[change.shape.indices])
+            if np.any(np.abs(change.value) > rows.largest[change.shape.indices])
         ]
         if not impossible or not np.isfinite(evidence[impossible]).any():
             return named
@@ -87,6 +91,8 @@ def best_change(
     types: Sequence[TypeLaw],
     tempering: Tempering,
     evidence: FloatArray,
+    rows: Rows,
+    background: Background,
 ) -> list[Change]:
     """The most probable law in its best shape: one change, or one for each joint of a motor type.
 
@@ -94,7 +100,9 @@ def best_change(
 
     The gain is not yet known.
     """
-    candidates = _Candidates(contrast, shapes, types, joint_frictions(shapes), tempering, evidence)
+    candidates = _Candidates(
+        contrast, shapes, types, joint_frictions(shapes), tempering, evidence, rows, background
+    )
     alone = candidates.probability()
     probability = candidates.shared_with_members(alone)
     term = max(probability, key=lambda law: probability[law])
@@ -119,6 +127,8 @@ class _Candidates:
     pairs: Sequence[JointFriction]
     tempering: Tempering
     evidence: FloatArray
+    rows: Rows
+    background: Background
 
     def probability(self) -> dict[Term, float]:
         """Law, law of a type or two frictions -> probability among all of them and no change."""
@@ -184,9 +194,10 @@ class _Candidates:
         return self._change(max(of_law, key=lambda k: float(self.evidence[k])), probability)
 
     def _change(self, shape: int, probability: dict[Term, float]) -> Change:
-        """Change of a shape, or of a simpler one with all its significant amplitudes."""
+        """Change of a shape, or of a simpler one with all its significant, possible amplitudes."""
         value, covariance = self._amplitudes(shape)
         significant = self.tempering.significant(value, covariance)
+        significant &= self._is_possible(shape, value, covariance)
         simpler = _simplest(self.shapes, shape, significant, self.evidence)
         if simpler != shape:
             terms = self.shapes[shape].term, self.shapes[simpler].term
@@ -196,6 +207,19 @@ class _Candidates:
         return Change(
             self.shapes[shape], value, covariance, probability[term], _rivals(probability, term)
         )
+
+    def _is_possible(
+        self, shape: int, value: FloatArray, covariance: FloatArray
+    ) -> NDArray[np.bool_]:
+        """(k,) whether each amplitude may have its value now; some cannot be negative.
+
+        Where geometry or a filter leave a part of a large change, a law with more amplitudes fits
+        it with a value that no robot can have.
+        """
+        columns = self.shapes[shape].indices
+        deviation = np.hypot(self.background.deviation(columns), np.sqrt(np.diag(covariance)))
+        now = self.background.mean[columns] + value
+        return ~self.rows.not_negative[columns] | (now + ndtri(TWO_SIDED) * deviation >= 0.0)
 
     def _amplitudes(self, shape: int) -> tuple[FloatArray, FloatArray]:
         columns = self.shapes[shape].indices

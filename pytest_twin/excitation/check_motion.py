@@ -44,7 +44,7 @@ _SIMULATED = 6
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenCheck:
     """The check.
 
     Attributes:
@@ -126,7 +126,9 @@ def check_file(
         robot = replace(robot, approved=replace(approved, duration=min(approved.duration, LONGEST)))
         terms = terms_of(robot)
         responses = responses_of(robot, terms)
-        chosen = chosen_within_limit(lambda: choose(robot, terms, responses, progress), Chosen())
+        chosen = chosen_within_limit(
+            lambda: choose(robot, terms, responses, progress), ChosenCheck()
+        )
     excitation = Excitation(
         robot.realization, replace(approved, mechanisms=()), robot.noise, robot.regressor,
         robot.base, tuple(motion for motion, _ in chosen.motions), chosen.refused, (), seed,
@@ -144,7 +146,7 @@ def choose(
     terms: Sequence[Term],
     responses: CatalogueResponses,
     progress: Callable[[float], None] = lambda fraction: None,
-) -> Chosen:
+) -> ChosenCheck:
     """Choose safe motions that together are expected to tell most pairs of laws apart.
 
     The D-optimal series, reversals of all joints at once, random series and random moves are
@@ -189,7 +191,7 @@ def choose(
         name = f"{NAME}_{len(motions) + 1}"
         motions.append((replace(safe[at], motion=replace(safe[at].motion, name=name)),
                         compared[at]))  # fmt: skip
-    return Chosen(tuple(motions), tuple(compared), () if motions else tuple(refused))
+    return ChosenCheck(tuple(motions), tuple(compared), () if motions else tuple(refused))
 
 
 def _cover(odds: Sequence[PairOdds]) -> list[int]:
@@ -231,7 +233,7 @@ def groups_of(pairs: Iterable[tuple[Term, Term]]) -> list[tuple[Term, ...]]:
 
 
 def _document(
-    robot: ApprovedRobot, terms: Sequence[Term], responses: CatalogueResponses, chosen: Chosen
+    robot: ApprovedRobot, terms: Sequence[Term], responses: CatalogueResponses, chosen: ChosenCheck
 ) -> dict[str, Any]:
     """Section ``check`` of ``excitation.json``."""
     joints = robot.approved.names

@@ -36,7 +36,7 @@ _USUAL = ("steps", "chirp", "reversals", "fourier")
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenMotions:
     """The motions that were chosen.
 
     Attributes:
@@ -83,7 +83,9 @@ def separate_file(
         rivals = read_rivals(words, names, servo_modes(robot.realization, names), diagnosed)
         separator = separator_of(robot, rivals, diagnosed)
         moved = sorted({j for rival in rivals for j in _joints_of(rival, len(names))})
-        chosen = chosen_within_limit(lambda: separate(robot, separator, moved, progress), Chosen())
+        chosen = chosen_within_limit(
+            lambda: separate(robot, separator, moved, progress), ChosenMotions()
+        )
     written = _written(robot, chosen, Path(model), Path(out))
     written["document"]["separation"] = _document(robot, rivals, separator.noise, chosen)
     state_limit(written["document"], limit)
@@ -95,7 +97,7 @@ def separate(
     separator: Separator,
     moved: Sequence[int],
     progress: Callable[[float], None] = lambda fraction: None,
-) -> Chosen:
+) -> ChosenMotions:
     """Choose the safe motion with the largest expected odds.
 
     Motions of single joints, random Fourier series and random moves are simulated under both
@@ -112,7 +114,7 @@ def separate(
     usual = next((one for one in judged if one.motion.kind in _USUAL), None)
     safe, refused = safe_motions(robot, judged[:_FINALISTS])
     final = _of_safe(safe, judged, separator)
-    return Chosen(separator.truths(), final, tuple(refused), usual, len(judged))
+    return ChosenMotions(separator.truths(), final, tuple(refused), usual, len(judged))
 
 
 def _joints_of(rival: Rival, count: int) -> Sequence[int]:
@@ -137,7 +139,7 @@ def _of_safe(
     return tuple(both[:2])
 
 
-def _written(robot: ApprovedRobot, chosen: Chosen, twin: Path, out: Path) -> dict[str, Any]:
+def _written(robot: ApprovedRobot, chosen: ChosenMotions, twin: Path, out: Path) -> dict[str, Any]:
     """Write the chosen motions: the best to fit, the second to hold out."""
     roles: tuple[Role, ...] = ("fit", "held_out")
     safe = tuple(
@@ -155,7 +157,7 @@ def _written(robot: ApprovedRobot, chosen: Chosen, twin: Path, out: Path) -> dic
 
 
 def _document(
-    robot: ApprovedRobot, rivals: tuple[Rival, Rival], noise: Noise, chosen: Chosen
+    robot: ApprovedRobot, rivals: tuple[Rival, Rival], noise: Noise, chosen: ChosenMotions
 ) -> dict[str, Any]:
     """Section ``separation`` of ``excitation.json``."""
     return {

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pytest_twin.report.change_plots import difference_figure
 from pytest_twin.report.diagnosis import spans_in_words
 from pytest_twin.report.finding_words import (
     ambiguity_sentence,
@@ -14,7 +15,7 @@ from pytest_twin.report.finding_words import (
     place,
     to_confirm,
 )
-from pytest_twin.report.page import Page
+from pytest_twin.report.page import Page, svg_uri
 from pytest_twin.report.text import number, quantity
 from pytest_twin.words import list_names
 
@@ -26,6 +27,8 @@ _VERDICT = {
 _AS_USUAL = 1.5
 """RMS residual, relative to the usual one, up to which it is no sign of a further change: both are
 estimates."""
+_MOST_NAMES = 6
+"""Largest number of recordings that are named at the top of the page."""
 _MOOD = {"no_change": "good", "changed": "bad", "changed_unnamed": "bad"}
 
 
@@ -139,10 +142,12 @@ def _from_to(finding: Mapping[str, Any]) -> str:
 
 def _is_as_before(document: Mapping[str, Any]) -> bool:
     """Whether the residual of every joint is as usual with the changes."""
-    return all(
-        error["rms_after"] <= _AS_USUAL * error["rms_usual"]
-        for error in _residuals(document)[1].values()
-    )
+    return all(_is_usual(error) for error in _residuals(document)[1].values())
+
+
+def _is_usual(error: Mapping[str, Any]) -> bool:
+    """Whether the residual of a joint is as usual with the changes."""
+    return bool(error["rms_after"] <= _AS_USUAL * error["rms_usual"])
 
 
 def alarm_sentence(document: Mapping[str, Any]) -> str:
@@ -175,21 +180,36 @@ def render(document: Mapping[str, Any]) -> str:
         alarm=alarm_sentence(document),
         model_changes=model_lines(document),
         declared=_declared(document),
+        new=_listed(document["new"]),
+        old=_listed(document["before"]["recordings"]),
         repeated=[*_repeated(document), *_undone(document)],
         findings=[
             {
                 **finding,
                 "name": place(finding),
+                "compared_with": "value" if finding["effect"] == "payload" else "beside the model",
                 "rows": _rows(finding),
                 "gain": _gain(finding),
                 "ambiguous": ambiguity_sentence(finding),
                 "spans": [(n, spans_in_words(w)) for n, w in finding["where"]["windows"].items()],
+                "figure": svg_uri(difference_figure(finding["difference"]))
+                if "difference" in finding
+                else None,
             }
             for finding in document["findings"]
         ],
         signal=_residuals(document)[0],
-        errors=[(joint, *_errors(error)) for joint, error in _residuals(document)[1].items()],
+        errors=[
+            (joint, *_errors(error), "as before" if _is_usual(error) else "more than before")
+            for joint, error in _residuals(document)[1].items()
+        ],
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return the first names, and how many follow."""
+    more = len(names) - _MOST_NAMES
+    return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _residuals(document: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
@@ -240,4 +260,10 @@ def _errors(error: Mapping[str, Any]) -> tuple[str, str, str]:
     return usual, before, after
 
 
-_PAGE = Page("changes.html.j2", "diagnosis.css", percent=percent)
+def _capitalize_first(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+_PAGE = Page(
+    "changes.html.j2", "diagnosis.css", percent=percent, capitalize_first=_capitalize_first
+)

@@ -176,6 +176,21 @@ def test_a_far_larger_and_faster_motion_is_an_alarm_only_if_the_friction_changed
     found, document = compare(slow, tmp_path / "out", new)
     assert (found, document["verdict"] == "no_change") == (status, status == 0)
     assert document["alarm"]["threshold"] == pytest.approx(-np.log(0.05), rel=0.01)
+    # Stribeck friction fits the rest of a large change with a negative friction at rest.
+    names = [(finding["effect"], finding["joint"]) for finding in document["findings"]]
+    assert names == [("coulomb_friction", "shoulder")] * status
+
+
+def test_the_page_shows_what_is_new_beside_the_change(robot: Path, tmp_path: Path) -> None:
+    new = record(tmp_path, "new.csv", 11, friction=1.6)
+    _, document = compare(robot, tmp_path / "out", new)
+    difference = document["findings"][0]["difference"]
+    assert (difference["joint"], difference["over"]) == ("shoulder", "velocity")
+    measured, change = (np.array(difference[name]) for name in ("measured", "change"))
+    assert np.std(measured - change) < 0.2 * np.std(measured)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert 'alt="new minus earlier efforts of Coulomb friction at joint shoulder"' in page
+    assert "as before" in page
 
 
 def test_what_no_law_describes_has_no_sure_name_where_only_a_far_motion_shows_it(
