@@ -1,6 +1,6 @@
 """The machine of the tutorial "A machine wears": run a motion on it, and record it.
 
-Run ``python machine.py MOTION.mcap OUT.csv [--dry-friction N] [--day N]``. The plant is this file's
+Run ``python machine.py MOTION.csv OUT.csv [--dry-friction N] [--day N]``. The plant is this file's
 own: a mass, a position servo, viscous and Coulomb friction, at 20 kHz. Friction differs by 2 % from
 day to day. Units: m, kg, s, N.
 """

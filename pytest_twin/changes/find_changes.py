@@ -79,7 +79,7 @@ def find_changes(realization: Realization, compared: Compared, level: float) -> 
     laws = along.laws
     parts, shapes, count = with_tool_load(laws, along.rows(every))
     known = np.isfinite(np.concatenate([part.effort for part in parts])).any(axis=0)
-    size = np.where(known, rms_of([one.effort for one in every]), 1.0)
+    size = np.where(known, rms_of([one.effort for one in before]), 1.0)
     rows = Rows.of(
         parts, size, count, largest_changes(laws, shapes, count), not_negative(shapes, count)
     )

@@ -66,8 +66,8 @@ class Prepared:
         later: for each later session, its sums for each joint.
         background: the laws as the earlier sessions show them.
         left_out: (sessions, joints) RMS residual of each earlier session that is left out.
-        accuracy: (joints,) this residual relative to the RMS effort: the share of an effort that
-            the laws of the catalogue leave, and so the share of a change that its law leaves.
+        accuracy: (joints,) share of the RMS effort that all laws together leave of the earlier
+            sessions, and so the share of a change that its law leaves.
         uncertainty: (joints,) predicted variance of the later efforts, relative to the largest one
             of a session that is left out; above 1 the new motion is an extrapolation.
         undescribed: (sessions, joints) variance that all laws together leave of each earlier
@@ -205,11 +205,13 @@ def prepare(
         [_predicted_variance(sums, scatter, background) for sums in later_sums], axis=0
     ) / np.max(variances, axis=0)
     residual = np.array([np.sqrt(np.mean(np.concatenate(each) ** 2, axis=0)) for each in residuals])
-    usual = np.sqrt(np.mean(residual**2, axis=0))
+    undescribed = _undescribed(earlier_sums, scatter)
+    noise = np.array([one.noise for one in scatter])
+    left = np.sqrt(noise * undescribed.mean(axis=0)) / _rms_effort(earlier_sums)
     return Prepared(
         tuple(scatter), later_sums, background, null, tempering, residual,
-        np.clip(usual / _rms_effort(earlier_sums), _LEAST_ACCURACY, 1.0), uncertainty,
-        _undescribed(earlier_sums, scatter), _undescribed(later_sums, scatter).mean(axis=0),
+        np.clip(left, _LEAST_ACCURACY, 1.0), uncertainty, undescribed,
+        _undescribed(later_sums, scatter).mean(axis=0),
     )  # fmt: skip
 
 
