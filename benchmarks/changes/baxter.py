@@ -119,6 +119,7 @@ def with_motor_types(
                         types if with_types else (),
                         (law.term.effect, member.term.joint),
                         single,
+                        new,
                     )
                 )
     return outcomes
