@@ -42,9 +42,6 @@ STANDS = (
 BANDS = ((0.5, 0.75), (0.75, 0.9), (0.9, 1.0))
 SHAPES = ("harmonic", "stribeck_velocity", "in_loop", "cosine", "damping_time")
 """Parameters that do not measure the size of an effect."""
-MODEL_STEP = {True: 0.001, False: 0.002}
-"""Time step of nominal models, s: of one joint or with contact, or of several joints."""
-RECORDINGS = 5
 COMMITTED = Path(__file__).with_name("truth_digests.json")
 
 
@@ -173,14 +170,9 @@ def unexplained_right(answer: Answer) -> bool:
 
 
 def simulations(answer: Answer) -> float | None:
-    """Return the number of simulations of all data, from the number of engine steps."""
+    """Return the number of simulations of all data."""
     cost = answer.said.get("cost") if answer.said else None
-    if not cost:
-        return None
-    t = answer.truth
-    step = t.get("step") or MODEL_STEP[len(t["joints"]) == 1 or t["contact"]]
-    count = len(t["recordings"]) if "recordings" in t else RECORDINGS
-    return float(cost["million_steps"]) * 1e6 * step / (count * float(t["seconds"]))
+    return float(cost["simulations"]) if cost else None
 
 
 def calibration(answers: Iterable[Answer]) -> list[tuple[int, int]]:

@@ -23,7 +23,7 @@ import hashlib
 import json
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -238,51 +238,6 @@ def figures(cases: list[Case]) -> list[str]:
     return table(["figure", "goal", "all cases", "cases with all effects visible"], rows)
 
 
-def cost(cases: list[Case]) -> list[str]:
-    """Return a table of wall time, and of its ratio to the time of MuJoCo's steps."""
-
-    def row(name: str, group: list[Case]) -> tuple[object, ...]:
-        wall = [float(c.run["seconds"]) for c in group]
-        told = [c.said["cost"] for c in group if c.said and c.said.get("cost")]
-        told = [t for t in told if t["engine_seconds"]]
-        if not wall:
-            return name, 0, "", "", "", "unknown", "unknown"
-        middle, most = f"{np.median(wall):.0f} s", f"{max(wall):.0f} s"
-        ratios = (ratio(told, engine_seconds), ratio(told, engine_once))
-        return name, len(group), f"{sum(wall):.0f} s", middle, most, *ratios
-
-    def ratio(told: list[Cost], engine: Callable[[Cost], float]) -> str:
-        if not told:
-            return "unknown"
-        pooled = sum(t["wall_seconds"] for t in told) / sum(map(engine, told))
-        middle = np.median([t["wall_seconds"] / engine(t) for t in told])
-        return f"{pooled:.2f} (median {middle:.2f} of {len(told)})"
-
-    counts = sorted({len(c.truth["joints"]) for c in cases})
-    rows = [row("all", cases)]
-    rows += [
-        row(f"{n} joint{'s' if n > 1 else ''}", [c for c in cases if len(c.truth["joints"]) == n])
-        for n in counts
-    ]
-    head = ["cases", "number", "wall time, total", "median", "maximum"]
-    return table([*head, "wall / engine time", "without repeated simulations"], rows)
-
-
-Cost = dict[str, float]
-"""Entry ``cost`` of a diagnosis."""
-
-
-def engine_seconds(cost: Cost) -> float:
-    """Time of the engine for all requested simulations, s."""
-    return cost["engine_seconds"]
-
-
-def engine_once(cost: Cost) -> float:
-    """Time of the engine for all simulations that were not in the cache, s."""
-    repeated = cost.get("million_steps_repeated", 0.0)
-    return cost["engine_seconds"] * (1.0 - repeated / cost["million_steps"])
-
-
 def kinds(cases: list[Case]) -> list[str]:
     """Number of right and false findings and verdicts, by number of hidden effects."""
     rows = []
@@ -413,7 +368,7 @@ def report(cases: list[Case], checked: str, *, named: bool = True) -> str:
     parts = [
         f"{len(cases)} cases, {none} without a result. {faint} hidden effects are below the sensor "
         f"noise. {checked} {confined} of {len(cases)} diagnoses ran without access to other files.",
-        "", *figures(cases), *cost(cases),
+        "", *figures(cases),
         "By number of hidden effects:", "", *kinds(cases),
         "Forces outside the catalogue:", "", *outsiders(cases),
         "By hidden effect:", "", *by_effect(cases),

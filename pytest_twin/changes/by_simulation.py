@@ -140,10 +140,11 @@ def find_changes_by_simulation(
         second = Run(_part_of(budget, 1.0))
         if comparison.is_changed or is_alarm(unlikely, level):
             structure = find_structure(
-                realization, replace(new, earlier=known.found.trials.fit), inherited=patched,
-                run=second, progress=lambda fraction: progress(0.5 + 0.4 * fraction),
+                realization, replace(new, held_out=(), earlier=known.found.trials.fit),
+                inherited=patched, run=second,
+                progress=lambda fraction: progress(0.5 + 0.4 * fraction),
             )  # fmt: skip
-            found = evaluate_on_test(structure, new, new.held_out)
+            found = evaluate_on_test(structure, new)
             if not new.held_out:
                 # With recordings that test the changes, the evaluation does it.
                 explanation = with_unexplained_share(found.explanation, found.tested.errors)

@@ -252,7 +252,6 @@ def diagnose_files(
     """
     from pytest_twin.diagnosis.budget import RESERVED_SHARE, Budget
     from pytest_twin.diagnosis.first_answer import FIRST_SECONDS, first_answer
-    from pytest_twin.diagnosis.roles import roles_of
     from pytest_twin.diagnosis.run import Run
     from pytest_twin.diagnosis.trace import Step, Trace
     from pytest_twin.diagnosis.trials import read_trials
@@ -297,7 +296,7 @@ def diagnose_files(
     seen = None
     if bound > 0.0:
         with suppress_mujoco_warnings():
-            seen = first_answer(loaded.realization, roles_of(trials).fit, loaded.patched, bound)
+            seen = first_answer(loaded.realization, trials.fit, loaded.patched, bound)
     diagnosis_run.first_answer = () if seen is None else seen.likely_effects
     words = "none in time" if seen is None else quick_diagnosis_in_words(seen)
     tell("line", f"first answer, from one recording: {words}")

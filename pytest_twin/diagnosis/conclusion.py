@@ -1,6 +1,6 @@
 """Final parameters of the chosen effects, and their errors on the test recordings.
 
-The parameters are fitted to the fit and validation recordings before a test recording is used.
+The parameters are fitted before a test recording is used.
 Nothing is fitted or chosen afterwards.
 """
 
@@ -37,8 +37,7 @@ class ChosenModel:
 
     Attributes:
         setup: the model with its simulation settings.
-        found: result of the search with the final parameters; its problem fits the fit and
-            validation recordings together.
+        found: result of the search with the final parameters.
         location_window: length in s of the windows in which the unexplained residual is located;
             None if the problem of ``found`` is used.
         notes: one line each, for the reader.
@@ -73,17 +72,16 @@ class TestedModel:
     problems: tuple[Problem, ...]
 
 
-def evaluate_on_test(
-    structure: ChosenModel, trials: TrialSet, test: Sequence[Trial]
-) -> TestedModel:
-    """Predict the test recordings, which were not used before.
+def evaluate_on_test(structure: ChosenModel, trials: TrialSet) -> TestedModel:
+    """Predict the held-out recordings, which were not used before.
+
+    If none is usable, errors are those of the fitted recordings.
 
     Args:
         trials: all trials; they say which encoders are stuck.
-        test: the test recordings. If none is usable, errors are those of the fitted recordings.
     """
     found, notes = structure.found, list[str]()
-    test = _usable_recordings(structure, test, notes)
+    test = _usable_recordings(structure, trials.held_out, notes)
     if test:
         try:
             return _evaluate(structure, trials, test, notes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,12 +10,10 @@ import numpy as np
 
 from pytest_twin.diagnosis.coarse_step import notes_on_coarse_step
 from pytest_twin.diagnosis.conclusion import ChosenModel, evaluate_on_test
-from pytest_twin.diagnosis.cost import Cost, measure_cost
 from pytest_twin.diagnosis.findings import Explanation, finding_json
 from pytest_twin.diagnosis.longest_windows import LongWindows, errors_over_longest_windows
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.prepare import PreparedProblem
-from pytest_twin.diagnosis.roles import Roles
 from pytest_twin.diagnosis.run import Run, describe_skipped_searches
 from pytest_twin.diagnosis.search_result import SearchResult
 from pytest_twin.diagnosis.searched_trials import search_trials
@@ -53,8 +50,8 @@ class Diagnosis:
         candidate_count: number of effects among which the search chose.
         tested: problem, recordings and residuals from which the errors were computed.
         free: fitted free laws, for forces that no effect of the catalogue explains.
-        roles: which recordings were fitted, validated, and held out.
         trace: every step of the search.
+        simulations: number of simulations of all recordings with as many steps.
         signals: meaning of the recorded commands, velocities and efforts.
         skipped_searches: searches that were skipped because time or simulations ran out, one line
             each.
@@ -70,9 +67,8 @@ class Diagnosis:
     candidate_count: int
     tested: SearchResult
     free: ConfirmedLaws
-    roles: Roles
     trace: Trace
-    cost: Cost
+    simulations: float
     signals: RecordedSignals
     skipped_searches: tuple[str, ...]
 
@@ -120,7 +116,7 @@ class Diagnosis:
             "notes": list(self.notes),
             "not_tried": list(self.skipped_searches),
             "search_trace": self.trace.to_json(),
-            "cost": self.cost.to_json(),
+            "cost": {"simulations": round(self.simulations, 1)},
         }
 
     def _removed_share(self, joint: str) -> dict[str, float]:
@@ -130,10 +126,9 @@ class Diagnosis:
 
     def _trials(self) -> dict[str, list[str]]:
         """Names of the recordings that were used, by role."""
-        used, validates = self.tested.trials, {t.path for t in self.roles.validation}
+        used = self.tested.trials
         return {
-            "fit": _names([t for t in used.fit if t.path not in validates]),
-            "validation": _names([t for t in used.fit if t.path in validates]),
+            "fit": _names(used.fit),
             "held_out": _names(used.held_out),
         }
 
@@ -178,19 +173,18 @@ def diagnose(
         RecordingError: model and recordings share no joint, or angles are not in rad.
         SpecError: a controller, payload or actuator is missing in the model.
     """
-    since = time.perf_counter()
     run = Run() if run is None else run
     searched = search_trials(
         realization, trials, run, inherited=inherited, threads=threads, progress=progress
     )
-    signals, trials, roles = searched.signals, searched.trials, searched.roles
+    signals, trials = searched.signals, searched.trials
     structure, undetermined = searched.structure, searched.undetermined
     # Simulations of candidates may diverge and overflow; such candidates are ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         progress(0.85)
         laws = _fit_laws_to_residual(structure, run)
         progress(0.88)
-        evaluated = evaluate_on_test(structure, trials, roles.test)
+        evaluated = evaluate_on_test(structure, trials)
         tested, unexplained_residuals = evaluated.tested, dict[str, UnexplainedResidual]()
         stated, longest = stated_verdict(tested.verdict, tested.errors), None
         if stated == "explained":
@@ -206,7 +200,7 @@ def diagnose(
         step = notes_on_coarse_step(
             tested.prepared.problem, tested.explanation.hypothesis, tested.errors
         )
-    notes = [*trials.notes, roles.note, *structure.notes, *evaluated.notes, *free.notes, *step]
+    notes = [*trials.notes, *structure.notes, *evaluated.notes, *free.notes, *step]
     notes += describe_skipped_searches(run)
     progress(0.94)
     for problem in (*signals.problems, *evaluated.problems):
@@ -215,8 +209,8 @@ def diagnose(
     return Diagnosis(
         stated, longest, explanation, free.tested.errors, unexplained_residuals,
         tuple(dict.fromkeys(notes)),
-        structure.found.prepared, structure.found.candidate_count, free.tested, free, roles,
-        run.trace, measure_cost(run.budget, since), signals,
+        structure.found.prepared, structure.found.candidate_count, free.tested, free,
+        run.trace, run.budget.work, signals,
         tuple(run.skipped_searches),
     )  # fmt: skip
 

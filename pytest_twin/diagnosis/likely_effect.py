@@ -21,7 +21,6 @@ class LikelyEffect:
         removed_share: share of the squared error of the examined part that it removes.
         alternatives: other effects that explain the recording about as well, best first.
         explained_joints: joints whose errors it was fitted to explain; empty for all joints.
-        alternative_shares: posterior shares of ``alternatives``.
         fitted: the effect at each of its joints, with all parameters.
     """
 
@@ -31,5 +30,4 @@ class LikelyEffect:
     removed_share: float
     alternatives: tuple[Place, ...] = ()
     explained_joints: tuple[str, ...] = ()
-    alternative_shares: tuple[float, ...] = ()
     fitted: tuple[AppliedEffect, ...] = ()

@@ -24,7 +24,6 @@ from pytest_twin.diagnosis.smoothing import SMOOTHING_WIDTH, derivatives
 from pytest_twin.diagnosis.windows import runs
 from pytest_twin.effects.contact_geoms import is_near_surface, with_distant_contacts
 from pytest_twin.effects.segment import Segment
-from pytest_twin.metrics.spectrum import power_density
 from pytest_twin.trial import Trial
 
 
@@ -182,47 +181,6 @@ def describe_regime(
             best = score
             words = f"{text} ({100 * held:.0f} % of the error in {100 * time:.0f} % of the time)"
     return words
-
-
-def describe_frequency_band(motions: Sequence[Motion], left: FloatArray, joint: int) -> str | None:
-    """The frequency band that contains more of a joint's residual than of its motion, in words.
-
-    Args:
-        left: (samples over all segments,) residual, rad or m.
-        joint: column of the joint.
-    """
-    interval = float(np.median(np.concatenate([np.diff(m.time) for m in motions])))
-    longest = max(float(m.time[-1] - m.time[0]) for m in motions)
-    size = 2 ** int(np.ceil(np.log2(min(longest, LOCATE.spectrum) / interval + 1.0)))
-    power, at = np.zeros((2, size // 2 + 1)), 0
-    for m in motions:
-        grid = np.arange(m.time[0], m.time[-1], interval)
-        mine, at = left[at : at + len(m.time)], at + len(m.time)
-        if len(grid) < LOCATE.fewest_samples:
-            continue
-        for k, values in enumerate((mine, m.position[:, joint])):
-            even = np.interp(grid, m.time, np.nan_to_num(values))
-            _, found = power_density(even, 1.0, min(size, len(even)), padded=size)
-            power[k] += len(grid) * found
-    if not power.sum(axis=1).all():
-        return None
-    held, usual = np.concatenate([np.zeros((2, 1)), np.cumsum(power, axis=1)], axis=1)
-    held, usual = held / held[-1], usual / usual[-1]
-    inside, motion = (x[None, :] - x[:, None] for x in (held, usual))
-    # A wide band contains much of any residual: compare with its width as well.
-    edges = np.arange(len(held))
-    width = (edges[None, :] - edges[:, None]) / len(held)
-    expected = np.maximum(np.maximum(motion, width), 1e-9)
-    good = (inside >= LOCATE.share) & (inside >= LOCATE.lift * expected)
-    score = np.where(good, inside * np.log(np.maximum(inside, 1e-9) / expected), -np.inf)
-    first, last = np.unravel_index(int(np.argmax(score)), score.shape)
-    if not good[first, last]:
-        return None
-    low, high = ((k - 0.5) / (size * interval) for k in (first, last))
-    return (
-        f"{max(low, 0.0):.2g} to {high:.2g} Hz ({100 * inside[first, last]:.0f} % of the residual, "
-        f"{100 * motion[first, last]:.0f} % of the motion)"
-    )
 
 
 def _interval_with_error(values: FloatArray, squared_error: FloatArray) -> tuple[float, float]:

@@ -24,8 +24,6 @@ class LocateSettings:
         edges: ends that an interval of positions is chosen from.
         searched: factor on the score of an interval of positions: its ends were fitted, so it
             scores higher by chance.
-        spectrum: s of the longest segment of a spectrum.
-        fewest_samples: of a segment of a spectrum.
         most_values: values of a metadata key that are regimes. More values are names of recordings
             or temperatures.
         cause: a joint is a cause from this share of the largest signal-to-noise ratio of missing
@@ -42,8 +40,6 @@ class LocateSettings:
     share: float = 0.45
     edges: int = 33
     searched: float = 0.8
-    spectrum: float = 4.0
-    fewest_samples: int = 16
     most_values: int = 6
     cause: float = 0.4
 

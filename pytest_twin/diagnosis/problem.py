@@ -123,8 +123,8 @@ class Problem:
 
     Attributes:
         simulator: simulates all segments, fit and held-out.
-        fit, held_out: indices of segments. During the search the validation recordings are held
-            out; after it, the test recordings.
+        fit, held_out: indices of segments. Nothing is held out during the search; after it, the
+            test recordings are.
         floor: (joints,) noise floor of positions: the standard deviation that no model can
             explain, rad or m.
         scales: typical sizes of the joints' parameters.

@@ -62,6 +62,11 @@ class QuickDiagnosis:
     where: TimeAndRegime
     floors: float
 
+    @property
+    def is_at_noise(self) -> bool:
+        """Whether no error is above the noise, so that no cause was looked for."""
+        return self.floors <= VERDICT.at_floor
+
 
 def quick_diagnosis(
     realization: Realization,
@@ -110,7 +115,7 @@ def quick_diagnosis(
         # What was found within the time is tested.
         token = CHECK.set(no_limit)
         try:
-            likely_effects, after = _likely_effects(searched, whole.problem, before, must_explain)
+            likely_effects, after = _likely_effects(searched, whole.problem, must_explain)
         finally:
             CHECK.reset(token)
         left &= ~_is_explained(before, after, joints)
@@ -273,13 +278,12 @@ def _search(
 
 
 def _likely_effects(
-    searched: SearchOutcome, whole: Problem, before: FloatArray, must_explain: NDArray[np.bool_]
+    searched: SearchOutcome, whole: Problem, must_explain: NDArray[np.bool_]
 ) -> tuple[tuple[LikelyEffect, ...], FloatArray]:
     """The effects of a search that remove much of the error, and the residual with them.
 
     Args:
         whole: the problem of the examined recording.
-        before: (samples, signals) its residual with the nominal model.
         must_explain: (joints,) whether the error of a joint is to be explained.
     """
     found = searched.incumbent.hypothesis
@@ -299,7 +303,6 @@ def _likely_effects(
     shares, out = posterior(searched), list[LikelyEffect]()
     for term, absent in zip(found.terms, without, strict=True):
         explained = must_explain & _is_explained(absent, after, len(must_explain))
-        rivals = _rivals(shares.alternatives[term], whole)
         alone = EMPTY.with_term_of(found, term)
         out.append(
             LikelyEffect(
@@ -307,25 +310,23 @@ def _likely_effects(
                 values=_reported_values(whole, alone),
                 posterior_share=min(shares.confidence[term], QUICK.most_confidence),
                 removed_share=removed[term],
-                alternatives=tuple(rivals),
+                alternatives=_rivals(shares.alternatives[term], whole),
                 explained_joints=()
                 if explained.all()
                 else tuple(np.array(whole.joints)[explained].tolist()),
-                alternative_shares=tuple(rivals.values()),
                 fitted=applied_effects(alone, whole.joints, whole.scales),
             )
         )
     return tuple(sorted(out, key=lambda effect: -effect.removed_share)), after
 
 
-def _rivals(alternatives: Sequence[AlternativeEffects], problem: Problem) -> dict[Place, float]:
-    """The likeliest single effects that may act instead of one, with their shares."""
-    out = dict[Place, float]()
-    for alternative in alternatives:
-        is_likely = alternative.confidence >= 1.0 - QUICK.most_confidence
-        if is_likely and len({t.effect for t in alternative.new}) == 1:
-            out.setdefault(_place_of(problem, alternative.new), alternative.confidence)
-    return dict(list(out.items())[: QUICK.most_alternatives])
+def _rivals(alternatives: Sequence[AlternativeEffects], problem: Problem) -> tuple[Place, ...]:
+    """The likeliest single effects that may act instead of one, most likely first."""
+    likely = [
+        _place_of(problem, a.new) for a in alternatives
+        if a.confidence >= 1.0 - QUICK.most_confidence and len({t.effect for t in a.new}) == 1
+    ]  # fmt: skip
+    return tuple(dict.fromkeys(likely))[: QUICK.most_alternatives]
 
 
 def _place_of(problem: Problem, terms: Sequence[Term]) -> Place:

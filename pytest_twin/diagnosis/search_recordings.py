@@ -87,10 +87,8 @@ def find_structure(
 ) -> ChosenModel:
     """Choose effects and fit them, without the test recordings.
 
-    Validation recordings are fitted too: effects are accepted by cross-validation over all.
-
     Args:
-        trials: the fit recordings; the validation recordings are in the place of held-out ones.
+        trials: the fit recordings; none is held out.
         inherited, threads, run, progress: as of :func:`~pytest_twin.diagnosis.diagnose.diagnose`.
         possible: possible interpolations of the commands between their stamps.
 
@@ -101,7 +99,6 @@ def find_structure(
     notes: list[str] = []
     setup = replace(ModelSetup.of(realization, inherited, threads), mask=run.mask)
     progress(0.02)
-    trials = replace(trials, fit=(*trials.fit, *trials.held_out), held_out=())
     trials = drop_other_units(realization, trials, notes)
     setup, prepared, trials = build_problem_with_better_constraint(setup, trials, notes)
     notes += _notes_on_missing_joints(realization, trials.fit, prepared.problem.joints)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from pytest_twin.diagnosis.conclusion import ChosenModel
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.prepare import shared_joints
-from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_recordings import find_structure
 from pytest_twin.diagnosis.signal_meaning import RecordedSignals, determine_signals
@@ -29,14 +28,12 @@ class SearchedTrials:
     Attributes:
         signals: meaning of the recorded commands, velocities and efforts.
         trials: all recordings as they are used.
-        roles: which of them were fitted, validated, and held out.
         structure: the effects that were found.
         undetermined: interpolation of the commands that neither signals nor effects decide.
     """
 
     signals: RecordedSignals
     trials: TrialSet
-    roles: Roles
     structure: ChosenModel
     undetermined: CommandInterpolation | None
 
@@ -54,28 +51,26 @@ def search_trials(
 
     Arguments and errors are those of :func:`~pytest_twin.diagnosis.diagnose.diagnose`.
     """
-    setup, known = ModelSetup.of(realization, inherited, threads), roles_of(trials).of_search
+    setup, known = ModelSetup.of(realization, inherited, threads), replace(trials, held_out=())
     with run.budget.searching(SEARCH_SHARE):
         signals = run.attempt(
             "what the commands and efforts of the recordings are",
             lambda: determine_signals(setup, known), RecordedSignals(),
         )  # fmt: skip
     as_recorded, trials = trials, signals.apply(trials)
-    roles = roles_of(trials)
-    undetermined = signals.undetermined(roles.of_search.fit)
-    for i, trial in enumerate(roles.test):
+    undetermined = signals.undetermined(trials.fit)
+    for i, trial in enumerate(trials.held_out):
         # A test recording that the model cannot replay is reported before the search of minutes.
         joints = shared_joints(realization, [trial])
         segments_of(realization, trial, i, joints, Cutting(skips_hole=True))
     # Simulations of candidates may diverge and overflow; such candidates are ranked last.
     with np.errstate(over="ignore", invalid="ignore"):
         structure = find_structure(
-            realization, roles.of_search,
+            realization, replace(trials, held_out=()),
             inherited=inherited, threads=threads, run=run, progress=progress,
             possible=() if undetermined is None else undetermined.possible,
         )  # fmt: skip
     if undetermined is not None and structure.between is not None:
         signals = signals.with_decision(undetermined, structure.between)
         trials, undetermined = signals.apply(as_recorded), None
-        roles = roles_of(trials)
-    return SearchedTrials(signals, trials, roles, structure, undetermined)
+    return SearchedTrials(signals, trials, structure, undetermined)

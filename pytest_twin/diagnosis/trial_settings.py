@@ -42,23 +42,6 @@ class TrialSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class RoleSettings:
-    """Thresholds by which recordings to fit become validation recordings.
-
-    Attributes:
-        fewest_recordings: smallest number of recordings to fit of which some are used for
-            validation. Three recordings often have different motions (steps, slow reversals, a
-            multisine), and the fit needs each of them.
-        least_share, most_share: smallest and largest share of the recorded time for validation: the
-            usual fifth to third (Hastie, Tibshirani, Friedman 2009, sec. 7.2).
-    """
-
-    fewest_recordings: int = 4
-    least_share: float = 0.2
-    most_share: float = 1.0 / 3.0
-
-
-@dataclass(frozen=True, slots=True)
 class RangeSettings:
     """Thresholds on the range of time constants and speeds that recordings determine.
 
@@ -105,6 +88,5 @@ class UnitSettings:
 
 
 TRIALS = TrialSettings()
-ROLES = RoleSettings()
 RANGES = RangeSettings()
 UNIT_CHECK = UnitSettings()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from pytest_twin.diagnosis.build_problem import residuals_everywhere
 from pytest_twin.diagnosis.locate import (
     TimeAndRegime,
     compute_missing_force,
-    describe_frequency_band,
     locate_error,
     smooth_motions,
 )
@@ -47,10 +46,8 @@ def locate_unexplained(
         trials: recordings of ``location``.
     """
     errors, problem = diagnosed.errors, location.problem
-    whole = smooth_motions(diagnosed.prepared, (*diagnosed.trials.fit, *diagnosed.trials.held_out))
-    motions, after = whole, diagnosed.after
+    motions, after = smooth_motions(location, (*trials.fit, *trials.held_out)), diagnosed.after
     if location is not diagnosed.prepared:
-        motions = smooth_motions(location, (*trials.fit, *trials.held_out))
         after = residuals_everywhere(problem, diagnosed.explanation.hypothesis)
     force = compute_missing_force(problem, after, location.floor_parts[NOISE])
     strength = force.strength
@@ -59,9 +56,6 @@ def locate_unexplained(
     def add(j: int, squared_error: FloatArray) -> None:
         joint = problem.joints[j]
         where = locate_error(motions, np.nan_to_num(squared_error), j, errors[joint].unit)
-        band = describe_frequency_band(whole, diagnosed.after[:, j], j)
-        if band is not None:
-            where = replace(where, summary=f"{where.summary}; {band}")
         found[joint] = UnexplainedResidual(errors[joint].fraction, where)
 
     threshold = max(LOCATE.cause * float(strength.max(initial=0.0)), 1e-9)

@@ -119,7 +119,6 @@ class BatchModels:
         segments: segments whose models have the same joints and drives.
         layout: indices of these joints and drives.
         timestep: time step, s.
-        disable_unused: whether engine features without influence on the result are disabled.
     """
 
     def __init__(
@@ -127,13 +126,10 @@ class BatchModels:
         segments: Sequence[Segment],
         layout: Layout,
         timestep: float,
-        *,
-        disable_unused: bool = True,
     ) -> None:
         self.segments = segments
         self.layout = layout
         self.timestep = timestep
-        self.disable_unused = disable_unused
         self._bounded: dict[int, mujoco.MjModel] = {}
         self._link_inertia: dict[int, tuple[FloatArray, FloatArray]] = {}
 
@@ -161,8 +157,7 @@ class BatchModels:
             model.opt.timestep = self.timestep
             if not of.has_friction_creep:
                 stiffen_friction(model, self.layout.dof_index, float(of.model.opt.timestep))
-            if self.disable_unused:
-                disable_unused_features(model)
+            disable_unused_features(model)
             self._bounded[id(of.model)] = model
         return self._bounded[id(of.model)]
 

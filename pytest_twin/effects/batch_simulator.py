@@ -91,7 +91,6 @@ class BatchSimulator:
             use.
         refine: substeps per model step, to measure the discretization error.
         fixed: effects that act in every row: parameters as (1, joints) arrays.
-        disable_unused: whether engine features without influence on the result are disabled.
     """
 
     def __init__(
@@ -102,7 +101,6 @@ class BatchSimulator:
         threads: int = 0,
         refine: int = 1,
         fixed: EffectValues | None = None,
-        disable_unused: bool = True,
     ) -> None:
         self.segments = list(segments)
         self.joints = tuple(joints)
@@ -111,9 +109,7 @@ class BatchSimulator:
         self.layout = Layout(model, self.segments, joints)
         self.refine = refine
         self.timestep = float(model.opt.timestep) / refine
-        self.models = BatchModels(
-            self.segments, self.layout, self.timestep, disable_unused=disable_unused
-        )
+        self.models = BatchModels(self.segments, self.layout, self.timestep)
         self.steps = np.array(
             [int(np.ceil((s.time[-1] - s.start) / self.timestep - 1e-6)) + 1 for s in segments]
         )

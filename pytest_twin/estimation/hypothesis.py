@@ -43,11 +43,6 @@ class Term:
         """
         return is_estimated(self.law, theta)
 
-    def only_estimated_parameter(self, theta: FloatArray) -> int | None:
-        """Index of the only estimated parameter of this form; None if there are several."""
-        (which,) = np.nonzero(self.is_estimated(theta))
-        return int(which[0]) if len(which) == 1 else None
-
     @property
     def dry_level(self) -> int | None:
         """Index of the parameter that is a constant level of dry friction; None without one."""

@@ -46,12 +46,9 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
 
 
 def law_sentence(finding: Mapping[str, Any]) -> str:
-    """Return a sentence on an unnamed law, and the known effect of the same shape, if any."""
-    law = finding["law"]
-    text = f"No known effect explains joint {finding['joint']}; a fitted law does: {law['words']}"
-    if law["resembles"] is None:
-        return f"{text}."
-    return f"{text}. It has the shape of {place({'effect': law['resembles'], 'joint': None})}."
+    """Return a sentence on an unnamed law."""
+    words = finding["law"]["words"]
+    return f"No known effect explains joint {finding['joint']}; a fitted law does: {words}."
 
 
 def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:

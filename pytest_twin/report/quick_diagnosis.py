@@ -20,12 +20,14 @@ _MOST_WINDOWS = 2
 
 
 def quick_diagnosis_in_words(seen: QuickDiagnosis) -> str:
-    """Return the most likely effects with confidence, or joint and time of a missing force."""
+    """Return the most likely effects, joint and time of a missing force, or that there is none."""
     if seen.likely_effects:
         parts = [_in_words(found) for found in seen.likely_effects]
         if seen.unexplained:
             parts.append(f"no known effect explains the error of {join_words(seen.unexplained)}")
         return printable("; ".join(parts))
+    if seen.is_at_noise:
+        return f"the error is within the noise ({seen.floors:.2g} noise floors)"
     when = f"{seen.where.summary}{_spans(seen)}"
     if seen.joint is None:
         return printable(

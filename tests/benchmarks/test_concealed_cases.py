@@ -167,17 +167,6 @@ def test_an_unexplained_window_is_correct_if_it_overlaps_the_external_force() ->
     assert not score.outside_right(case)["window"]
 
 
-def test_cost_is_wall_time_per_simulated_time_with_and_without_repeated_steps() -> None:
-    case = _case([], [])
-    case.said = {"cost": {"wall_seconds": 6.0, "engine_seconds": 4.0, "million_steps": 2.0}}
-    again = _case([], [])
-    again.said = {"cost": {**case.said["cost"], "million_steps_repeated": 1.0}}
-    _, _, of_all, *_ = score.cost([case, again])
-    assert of_all.endswith("| 1.50 (median 1.50 of 2) | 2.00 (median 2.25 of 2) |")
-    case.said = None
-    assert "1.50 (median 1.50 of 1) | 3.00" in score.cost([case, again])[2]
-
-
 def test_a_changed_truth_file_is_detected_by_its_digest(tmp_path: Path) -> None:
     truth, committed = tmp_path / "truth", tmp_path / "digests.json"
     truth.mkdir()

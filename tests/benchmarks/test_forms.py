@@ -44,7 +44,6 @@ def test_a_wrong_answer_is_reported_as_wrong(tmp_path: Path) -> None:
     said = json.loads((tmp_path / "case" / "why" / "diagnosis.json").read_text())
     assert said["trials"] == {
         "fit": ["0.mcap", "1.mcap"],
-        "validation": [],
         "held_out": ["2.mcap"],
     }
 

@@ -1,14 +1,13 @@
-"""Curves of forces outside the catalogue: the known effect of the same shape, and words."""
+"""Curves of forces outside the catalogue, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-import pytest
 
-from pytest_twin.diagnosis.unnamed_law.shape import Curve, describe_curve, matching_effect
-from pytest_twin.effects.unnamed_law import POSITION, SPEED, VELOCITY, Variable
+from pytest_twin.diagnosis.unnamed_law.shape import Curve, describe_curve
+from pytest_twin.effects.unnamed_law import POSITION, Variable
 
 KNOTS = np.linspace(-1.0, 1.0, 41)
 
@@ -38,34 +37,6 @@ def bumps(*places: tuple[float, float]) -> Callable[[np.ndarray], np.ndarray]:
     return lambda q: sum(
         (height * np.exp(-(((q - at) / 0.06) ** 2)) for at, height in places), np.zeros_like(q)
     )
-
-
-@pytest.mark.parametrize(
-    ("given", "effect"),
-    [
-        (curve(lambda q: 0.3 - 2.0 * q), "joint_spring"),
-        (curve(lambda v: -0.5 * v, VELOCITY), "viscous_friction"),
-        (curve(lambda v: -0.5 * np.sign(v), VELOCITY), "coulomb_friction"),
-        (curve(lambda v: -0.5 * v * np.abs(v), VELOCITY), "quadratic_drag"),
-        (curve(lambda v: 0.2 - 0.5 * np.sign(v), VELOCITY), "asymmetric_friction"),
-        (curve(lambda s: 0.5 + 0.0 * s, SPEED, is_friction=True), "coulomb_friction"),
-        (curve(lambda q: np.sin(10.0 * q + 0.4)), "cogging"),
-        (curve(bumps((0.3, 1.0))), None),
-    ],
-)
-def test_a_curve_with_the_shape_of_a_known_effect_is_recognized(
-    given: Curve, effect: str | None
-) -> None:
-    assert matching_effect(given, turns=True) == effect
-
-
-def test_less_than_one_and_a_half_periods_are_not_periodic() -> None:
-    once = curve(lambda q: np.sin(np.pi * q), knots=np.linspace(-1.0, 1.0, 41))
-    assert matching_effect(once, turns=True) is None
-
-
-def test_a_sliding_joint_has_no_cogging() -> None:
-    assert matching_effect(curve(lambda q: np.sin(10.0 * q)), turns=False) is None
 
 
 def test_the_three_strongest_parts_are_described_in_their_order() -> None:

@@ -163,7 +163,6 @@ def assert_attached(root: Path, text: str) -> None:
     assert [f["effect"] for f in diagnosis["findings"]] == ["command_delay"]
     assert diagnosis["trials"] == {
         "fit": ["fit1.mcap"],
-        "validation": [],
         "held_out": ["held_out3.mcap"],
     }
     assert text.count("diagnosing mujoco over 2 recordings") == 1

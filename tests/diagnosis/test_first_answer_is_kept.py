@@ -14,7 +14,6 @@ from pytest_twin.diagnosis.first_answer import first_answer
 from pytest_twin.diagnosis.likely_effect import LikelyEffect
 from pytest_twin.diagnosis.patched.model import AppliedEffect
 from pytest_twin.diagnosis.quick_diagnosis import QuickDiagnosis
-from pytest_twin.diagnosis.roles import roles_of
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.loaded_model import load_model
@@ -47,7 +46,7 @@ def _read(words: list[str]) -> tuple[Realization, TrialSet]:
 def braked(tmp_path_factory: pytest.TempPathFactory) -> Stopped:
     """The diagnosis of a joint with dry friction that its model lacks, after its first answer."""
     realization, trials = _read(case(tmp_path_factory.mktemp("braked"), joints=LEFT, dry=0.08))
-    answer = first_answer(realization, roles_of(trials).fit, None, seconds=600.0)
+    answer = first_answer(realization, trials.fit, None, seconds=600.0)
     assert answer is not None
 
     def run_diagnosis(run: Run) -> tuple[Diagnosis, QuickDiagnosis]:

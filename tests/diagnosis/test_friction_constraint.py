@@ -119,7 +119,7 @@ def test_a_hidden_delay_is_found_and_creep_is_detected_from_the_residual(tmp_pat
     reloaded = load_model(find_model(tmp_path))
     assert reloaded.patched is not None
     assert reloaded.patched.has_friction_creep
-    (trial,) = found.roles.test
+    (trial,) = found.tested.trials.held_out
     (predicted,) = replay_patched(reloaded.realization, reloaded.patched, [trial], threads=1)
     rms_error = np.sqrt(np.mean((predicted.position - trial.position) ** 2, axis=0))
     assert (rms_error < 1.5 * problem.floor).all()

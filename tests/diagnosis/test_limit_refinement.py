@@ -124,8 +124,7 @@ def test_a_narrow_minimum_outside_the_starting_grid_is_found() -> None:
 def test_sizes_above_the_starting_grid_end_at_the_physical_bound() -> None:
     for law in catalogue().values():
         for size in sizes_up_to_bound(law):
-            lone = Term(law.id, 0).only_estimated_parameter(size)
-            assert lone is not None
+            (lone,) = np.flatnonzero(Term(law.id, 0).is_estimated(size))
             assert law.parameters[lone].starts[-1] < size[lone] <= law.parameters[lone].upper
     limit = sizes_up_to_bound(catalogue()["rate_limit"])
     # Limits of the setpoint rate and of the effort rate have the same number of sizes.

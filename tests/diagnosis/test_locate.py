@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import pytest
 from pytest_twin.diagnosis.locate import (
     Motion,
     compute_missing_force,
-    describe_frequency_band,
     error_windows,
     list_regimes,
     locate_error,
@@ -208,30 +206,3 @@ def test_many_measured_temperatures_are_grouped_into_a_colder_and_a_warmer_half(
     assert locate_error(paths, 0.01 + cold, 0, "rad").summary == (
         "temperature up to 23.75 C (99 % of the error in 50 % of the time)"
     )
-
-
-@pytest.mark.parametrize("irregular", [False, True], ids=["regular stamps", "irregular stamps"])
-def test_a_residual_at_one_frequency_is_reported_with_its_frequency_band(irregular: bool) -> None:
-    rng = np.random.default_rng(1)
-    paths, residuals = [], []
-    for k in range(3):
-        time = np.arange(0.0, 6.0 + k, 0.01)
-        time = np.sort(time + 0.003 * irregular * rng.uniform(-1.0, 1.0, len(time)))
-        paths.append(motion(time, 0.4 * np.sin(2 * np.pi * 0.7 * time + k), f"{k}.mcap"))
-        oscillation = np.sin(2 * np.pi * 9.0 * time + k)
-        residuals.append(1e-3 * oscillation + 2e-4 * rng.standard_normal(len(time)))
-    text = describe_frequency_band(paths, np.concatenate(residuals), 0)
-    assert text is not None
-    band = r"([\d.]+) to ([\d.]+) Hz \((\d+) % of the residual, 0 % of the motion\)"
-    found = re.match(band, text)
-    assert found, text
-    low, high, share = map(float, found.groups())
-    assert 8.3 < low < 9.0 < high < 9.7
-    assert share > 80
-
-
-def test_a_residual_in_proportion_to_the_motion_has_no_frequency_band() -> None:
-    time = np.arange(0.0, 6.0, 0.01)
-    wave = 0.4 * np.sin(2 * np.pi * 0.7 * time)
-    assert describe_frequency_band([motion(time, wave)], 0.01 * wave, 0) is None
-    assert describe_frequency_band([motion(time, wave)], 0.0 * wave, 0) is None

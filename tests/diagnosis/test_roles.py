@@ -11,7 +11,6 @@ from two_pendulums import DECLARED, JOINTS, mjcf, record
 
 from pytest_twin.diagnosis.diagnose import Diagnosis, diagnose
 from pytest_twin.diagnosis.findings import Explanation, with_unexplained_share
-from pytest_twin.diagnosis.roles import Roles, roles_of
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.verdict import JointError
 from pytest_twin.loaded_model import load_model
@@ -31,10 +30,6 @@ def record_pendulum(
     return record(
         folder / name, seed, joints=LEFT, seconds=seconds, metadata=DECLARED | metadata, viscous=0.1
     )
-
-
-def validation_names(roles: Roles) -> set[str]:
-    return {t.path.name for t in roles.validation}
 
 
 @dataclass(frozen=True)
@@ -82,31 +77,19 @@ def assert_test_recording_was_not_used(opened: Diagnosis, absent: Diagnosis) -> 
 
 
 def test_a_search_without_the_test_recordings_on_disk_has_the_same_findings(
-    tmp_path: Path,
-) -> None:
-    recorded = Recorded.in_folder(tmp_path, 2)
-    opened = recorded.diagnosed()
-    recorded.test.unlink()
-    assert not opened.roles.validation
-    assert_test_recording_was_not_used(opened, recorded.diagnosed())
-
-
-def test_a_search_with_a_validation_recording_has_the_same_findings_without_the_test_recording(
     four: tuple[Recorded, Diagnosis],
 ) -> None:
     recorded, opened = four
     recorded.test.unlink()
-    assert len(opened.roles.validation) == 1
     assert_test_recording_was_not_used(opened, recorded.diagnosed())
 
 
-def test_parameters_are_fitted_to_fit_and_validation_recordings(
+def test_parameters_are_fitted_to_all_recordings_that_are_not_held_out(
     four: tuple[Recorded, Diagnosis],
 ) -> None:
     recorded, found = four
-    assert len(found.roles.validation) == 1
     trials = found.to_json(realization="realization/")["trials"]
-    assert sorted(trials["fit"] + trials["validation"]) == [p.name for p in recorded.fit]
+    assert trials["fit"] == [p.name for p in recorded.fit]
     assert trials["held_out"] == ["test.mcap"]
     assert len(found.prepared.problem.fit) == 4
     assert not len(found.prepared.problem.held_out)
@@ -149,55 +132,6 @@ def test_the_unexplained_share_of_the_error_at_a_joint_is_taken_from_the_confide
     assert confidence(sure, left=residual, right=noise) == pytest.approx(explained)
     assert confidence(of_robot, left=noise, right=residual) == pytest.approx(explained)
     assert confidence(of_robot, left=noise, right=noise) == 1.0
-
-
-def test_validation_has_a_fifth_to_a_third_of_the_time_for_any_order_of_the_recordings(
-    tmp_path: Path,
-) -> None:
-    files = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(8)]
-    roles = roles_of(read(tmp_path, files, files[7:]))
-    seconds = [sum(t.duration for t in each) for each in (roles.fit, roles.validation)]
-    assert 0.2 <= seconds[1] / sum(seconds) <= 1.0 / 3.0
-    reversed_order = roles_of(read(tmp_path, files[::-1], files[7:]))
-    assert validation_names(reversed_order) == validation_names(roles)
-    assert {t.path.name for t in roles.test} == {"7.mcap"}
-    assert roles.of_search.held_out == roles.validation
-
-
-def test_every_controller_has_a_recording_to_fit(tmp_path: Path) -> None:
-    kinds = ["soft"] * 4 + ["stiff"] * 3
-    files = [
-        record_pendulum(tmp_path, f"{seed}.mcap", seed, controller=kind)
-        for seed, kind in enumerate(kinds)
-    ]
-    test = record_pendulum(tmp_path, "test.mcap", 9, controller="stiff")
-    roles = roles_of(read(tmp_path, files, [test]))
-    assert {t.metadata["controller"] for t in roles.fit} == {"soft", "stiff"}
-    assert {t.metadata["controller"] for t in roles.validation} == {"soft", "stiff"}
-
-    # An effect under a controller with a single recording could not be validated.
-    odd = record_pendulum(tmp_path, "odd.mcap", 8, controller="odd")
-    roles = roles_of(read(tmp_path, [*files, odd], [test]))
-    assert not roles.validation
-    assert "too few to validate under every controller" in roles.note
-
-
-def test_the_recording_with_the_largest_motion_is_fitted(tmp_path: Path) -> None:
-    files = [
-        record_pendulum(tmp_path, f"{seed}.mcap", 1, seconds=1.0 + 0.2 * seed) for seed in range(5)
-    ]
-    roles = roles_of(read(tmp_path, files, files[:1]))
-    reach = {t.path.name: float(np.ptp(t.position)) for t in (*roles.fit, *roles.validation)}
-    assert max(reach, key=lambda name: reach[name]) not in validation_names(roles)
-
-
-def test_with_few_recordings_none_is_for_validation_and_a_note_says_so(tmp_path: Path) -> None:
-    files = [record_pendulum(tmp_path, f"{seed}.mcap", seed) for seed in range(3)]
-    test = record_pendulum(tmp_path, "test.mcap", 9)
-    roles = roles_of(read(tmp_path, files, [test]))
-    assert not roles.validation
-    assert len(roles.fit) == 3
-    assert roles.note.startswith("3 recordings to fit, too few to set one aside for validation")
 
 
 def test_held_out_recordings_do_not_change_how_the_others_are_read(tmp_path: Path) -> None:

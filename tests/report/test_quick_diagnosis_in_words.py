@@ -30,9 +30,13 @@ DELAY = LikelyEffect(
 
 
 def said(
-    *likely_effects: LikelyEffect, unexplained: tuple[str, ...] = (), joint: str | None = "elbow"
+    *likely_effects: LikelyEffect,
+    unexplained: tuple[str, ...] = (),
+    joint: str | None = "elbow",
+    floors: float = 5.04,
 ) -> str:
-    return quick_diagnosis_in_words(QuickDiagnosis(likely_effects, unexplained, joint, WHERE, 2.04))
+    seen = QuickDiagnosis(likely_effects, unexplained, joint, WHERE, floors)
+    return quick_diagnosis_in_words(seen)
 
 
 def test_one_likely_effect_is_stated_with_size_confidence_and_gain() -> None:
@@ -69,9 +73,13 @@ def test_without_a_likely_effect_joint_and_times_of_the_missing_force_are_stated
     )
     assert said(joint=None) == (
         "no known effect explains the error, and no joint shows a missing force above the noise; "
-        "the error is 2 times the noise floor; mainly fast, |velocity| > 3 rad/s, 2 to 3.25 s, "
+        "the error is 5 times the noise floor; mainly fast, |velocity| > 3 rad/s, 2 to 3.25 s, "
         "4 to 4.5 s"
     )
+
+
+def test_an_error_within_the_noise_has_no_cause() -> None:
+    assert said(floors=1.04) == "the error is within the noise (1 noise floors)"
 
 
 def test_joint_names_cannot_inject_escape_sequences() -> None:

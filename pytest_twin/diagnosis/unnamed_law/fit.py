@@ -31,7 +31,7 @@ from pytest_twin.diagnosis.unnamed_law.selection import (
     rank_tables,
 )
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
-from pytest_twin.diagnosis.unnamed_law.shape import Curve, matching_effect
+from pytest_twin.diagnosis.unnamed_law.shape import Curve
 from pytest_twin.diagnosis.unnamed_law.table_fit import SimulatedTables, fit_tables
 from pytest_twin.diagnosis.verdict import UNSEEN
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
@@ -217,7 +217,6 @@ def _laws(
                 joint=joint,
                 term=Term(table.effect, column),
                 curve=curve,
-                resembles=matching_effect(curve, turns=kind == "hinge"),
                 removed=share,
                 confidence=confidence,
                 alternatives=alternatives[:4],

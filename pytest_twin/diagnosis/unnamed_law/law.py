@@ -10,7 +10,6 @@ from pytest_twin.diagnosis.unnamed_law.shape import Curve, describe_curve
 from pytest_twin.effects.unnamed_law import UnnamedLaw
 from pytest_twin.estimation.hypothesis import Term
 
-_KNOWN_SHAPE = "its shape is that of {}: inspect the joint for that cause"
 _NEXT_TEST = (
     "repeat the motion at other times and through other values of {}: a force that depends on it "
     "comes back at the same values"
@@ -38,7 +37,6 @@ class FreeLaw:
     Attributes:
         term: effect and joint, in the numbering of the problem.
         curve: the table with its band.
-        resembles: id of an effect with this shape; None if there is none.
         removed: share of the squared error of left-out recordings that the law removes, by
             cross-validation over whole recordings.
         confidence: share of this variable against the others, 0 to 1.
@@ -48,7 +46,6 @@ class FreeLaw:
     joint: str
     term: Term
     curve: Curve
-    resembles: str | None
     removed: float
     confidence: float
     alternatives: tuple[AlternativeVariable, ...]
@@ -89,7 +86,7 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
             }
             for r in law.alternatives
         ],
-        "next_test": _next_test(law),
+        "next_test": _NEXT_TEST.format(curve.variable.name),
         "law": {
             "words": law.words,
             "acts": _describe_action(curve.is_friction),
@@ -105,7 +102,6 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
             "range": list(curve.valid),
             "outside": "no force",
             "samples": curve.occupancy.tolist(),
-            "resembles": law.resembles,
             "cross_validated_gain": round(law.removed, 5),
         },
     }  # fmt: skip
@@ -113,13 +109,6 @@ def law_json(law: FreeLaw, held_out_gain: float) -> dict[str, Any]:
 
 def _describe_action(is_friction: bool) -> str:
     return "against motion" if is_friction else "as a force"
-
-
-def _next_test(law: FreeLaw) -> str:
-    text = _NEXT_TEST.format(law.curve.variable.name)
-    if law.resembles is None:
-        return text
-    return f"{text}; {_KNOWN_SHAPE.format(law.resembles.replace('_', ' '))}"
 
 
 __all__ = ["AlternativeVariable", "FreeLaw", "law_json"]

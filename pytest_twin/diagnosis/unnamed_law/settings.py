@@ -40,9 +40,6 @@ class FreeLawSettings:
         second_of_all: share of the whole squared error that a second table must remove.
         described: smallest height of a described part of a curve, as a share of the peak.
         most_stretches: largest number of described parts.
-        resembles: share of the curve's mean square, weighted by occupancy, that a known law must
-            reproduce.
-        periods: smallest number of periods within the range of a periodic curve.
     """
 
     removes: float = 0.5
@@ -64,8 +61,6 @@ class FreeLawSettings:
     second_of_all: float = 0.005
     described: float = 0.3
     most_stretches: int = 3
-    resembles: float = 0.97
-    periods: float = 1.5
 
 
 FREE_LAWS = FreeLawSettings()

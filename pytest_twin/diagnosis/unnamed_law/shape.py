@@ -1,23 +1,15 @@
-"""Description of a curve in words, and the known effect with the same shape."""
+"""Description of a curve in words."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.unnamed_law.settings import FREE_LAWS
-from pytest_twin.effects import actuation, friction, transmission
-from pytest_twin.effects.unnamed_law import (
-    LOAD,
-    POSITION,
-    SPEED,
-    VELOCITY,
-    Variable,
-)
+from pytest_twin.effects.unnamed_law import POSITION, Variable
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,72 +110,4 @@ def _clear_intervals(curve: Curve) -> list[slice]:
     return sorted(strongest, key=lambda s: s.start)
 
 
-def matching_effect(curve: Curve, *, turns: bool) -> str | None:
-    """The id of the simplest effect of the catalogue with nearly this curve; None without one.
-
-    Args:
-        turns: whether the joint is a hinge, so that a periodic curve may come from gear or motor.
-    """
-    for effect, columns in _basis_of_effects(curve).items():
-        if _reproduced_share(curve, columns) >= FREE_LAWS.resembles:
-            return effect
-    if turns and curve.variable is POSITION:
-        span = curve.knots[-1] - curve.knots[0]
-        for k in range(max(int(np.ceil(FREE_LAWS.periods * 2.0 * np.pi / span)), 1), 201):
-            # At least two knots for each period.
-            if k * span > np.pi * (len(curve.knots) - 1):
-                break
-            wave = [np.sin(k * curve.knots), np.cos(k * curve.knots)]
-            if curve.is_friction:
-                wave.append(np.ones_like(curve.knots))
-            if _reproduced_share(curve, np.stack(wave, axis=1)) >= FREE_LAWS.resembles:
-                return (
-                    friction.PositionDependentFriction.id
-                    if curve.is_friction
-                    else actuation.Cogging.id
-                )
-    return None
-
-
-def _basis_of_effects(curve: Curve) -> Mapping[str, FloatArray]:
-    """Effect -> (knots, parameters) basis of the curves that it can have."""
-    x = curve.knots
-    one = np.ones_like(x)
-    known: Mapping[tuple[Variable, bool], Mapping[str, Callable[[], list[FloatArray]]]] = {
-        (POSITION, False): {
-            transmission.JointSpring.id: lambda: [one, x],
-        },
-        (VELOCITY, False): {
-            friction.ViscousFriction.id: lambda: [x],
-            friction.CoulombFriction.id: lambda: [np.sign(x)],
-            friction.QuadraticDrag.id: lambda: [x * np.abs(x)],
-            friction.AsymmetricFriction.id: lambda: [np.sign(x), one],
-        },
-        (POSITION, True): {friction.CoulombFriction.id: lambda: [one]},
-        (SPEED, True): {
-            friction.CoulombFriction.id: lambda: [one],
-            friction.ViscousFriction.id: lambda: [x],
-            friction.QuadraticDrag.id: lambda: [x**2],
-        },
-        (LOAD, True): {
-            friction.CoulombFriction.id: lambda: [one],
-            friction.LoadDependentFriction.id: lambda: [x],
-        },
-    }
-    found = known.get((curve.variable, curve.is_friction), {})
-    return {effect: np.stack(columns(), axis=1) for effect, columns in found.items()}
-
-
-def _reproduced_share(curve: Curve, columns: FloatArray) -> float:
-    """Share of the curve's mean square, weighted by occupancy, that a basis reproduces."""
-    root = np.sqrt(curve.occupancy)
-    target = root * curve.values
-    total = float(target @ target)
-    if total == 0.0:
-        return 0.0
-    fit, *_ = np.linalg.lstsq(root[:, None] * columns, target, rcond=None)
-    off = target - root * (columns @ fit)
-    return 1.0 - float(off @ off) / total
-
-
-__all__ = ["Curve", "describe_curve", "matching_effect"]
+__all__ = ["Curve", "describe_curve"]

@@ -104,7 +104,7 @@ def identify_simulation(
     structure = searched.structure
     limit.left_out(run.skipped_searches)
     with np.errstate(over="ignore", invalid="ignore"):
-        evaluated = evaluate_on_test(structure, searched.trials, searched.roles.test)
+        evaluated = evaluate_on_test(structure, searched.trials)
         found, tested = structure.found, evaluated.tested
         prepared, hypothesis = found.prepared, found.explanation.hypothesis
         problem, test_problem = prepared.problem, tested.prepared.problem
@@ -138,7 +138,7 @@ def identify_simulation(
     return SimulationResult(
         prepared, hypothesis, stage_of, spread, tuple(stages), undetermined, errors,
         bool(len(test_problem.held_out)), not run.skipped_searches, searched.signals, used,
-        (*searched.trials.notes, searched.roles.note, *structure.notes, *evaluated.notes),
+        (*searched.trials.notes, *structure.notes, *evaluated.notes),
     )  # fmt: skip
 
 
