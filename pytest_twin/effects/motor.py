@@ -9,9 +9,14 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, Parameter, Values, World
+from pytest_twin.effects.proposal import JointFit, Start
 
 # Setpoints that differ by less are equal: 1/2000 of an encoder count (12 bits per turn), in rad.
 _SAME_COMMAND = 1e-6
+# Rest of a command, s, from which a watchdog may act: shorter ones are the steps of a slow log.
+_SHORTEST_REST = 0.05
+# Times of a watchdog that are tried, as shares of the longest rest.
+_SHARES_OF_REST = (0.95, 0.8, 0.6, 0.4, 0.2)
 # Part of ``delivered`` that cancels back-EMF, which the model holds as passive damping.
 _BACK_EMF_EFFORT = "back_emf"
 
@@ -98,6 +103,12 @@ class WatchdogTimeout(Effect):
         "external_force": "repeat the motion with a command that never stops: a watchdog does not "
         "act then",
     }
+
+    def propose(self, at: JointFit) -> Iterable[Start]:
+        """Times within the longest rest: a time beyond it does nothing, and has no slope."""
+        if at.present is None and at.longest_rest > _SHORTEST_REST:
+            for share in _SHARES_OF_REST:
+                yield Start(np.array([1.0 / (share * at.longest_rest), 0.0]))
 
     def command(self, world: World, values: Values) -> None:
         held = world.state.get(self.id)

@@ -27,12 +27,14 @@ class JointFit:
         present: parameters of the effect in the fit, in multiples of references; None if the fit
             does not contain it.
         is_nominal: whether the fit is the nominal model, without any effect.
+        longest_rest: longest time for which the joint's command is constant, s.
     """
 
     servo: str
     servo_compliance: float
     present: Mapping[str, float] | None
     is_nominal: bool
+    longest_rest: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,10 @@ _FEWEST_BLOCKS, _MOST_BLOCKS = 2, 20
 """Smallest and largest number of blocks of a recording."""
 _CORRELATION_TIMES = 2.0
 """Length of a block, in correlation times of the nominal residual."""
+_MOST_OF_ONE_FOLD = 100.0
+"""Largest ratio of the information of one fold to that of all others, for any combination of
+parameters: beyond it the standard error from the others is ten times that of the fold alone, and
+they predict nothing of what it shows."""
 _RIDGE = 1e-8
 """Share of the diagonal that is added to a normal matrix, so that dependent parameters can be
 solved."""
@@ -58,6 +62,8 @@ class Comparison:
             of the nominal residual and do not cross recordings.
         fold: (samples,) index of the fold of each sample: its recording, or a part of the only one.
         has_one_recording: whether the folds are parts of a single recording.
+        part: (samples,) index of a part of the fold, by which the fold is predicted where no other
+            fold determines the parameters.
         candidates: number of effects among which the search chooses.
     """
 
@@ -65,6 +71,7 @@ class Comparison:
     independent: FloatArray
     block: NDArray[np.int64]
     fold: NDArray[np.int64]
+    part: NDArray[np.int64]
     has_one_recording: bool
     candidates: int
 
@@ -106,12 +113,12 @@ class Comparison:
             block[own] = count + np.arange(len(own)) * parts // max(len(own), 1)
             count += parts
         is_one = len(names) < 2
-        fold = (
-            np.arange(len(owner)) * _PARTS_OF_ONE_RECORDING // max(len(owner), 1)
-            if is_one
-            else np.searchsorted(names, owner)
-        )
-        return cls(floor, independent, block, fold, is_one, candidates)
+        part = np.empty(len(owner), dtype=np.int64)
+        for name in names:
+            (own,) = np.nonzero(owner == name)
+            part[own] = np.arange(len(own)) * _PARTS_OF_ONE_RECORDING // len(own)
+        fold = part if is_one else np.searchsorted(names, owner)
+        return cls(floor, independent, block, fold, part, is_one, candidates)
 
     def penalty(self, size: Size) -> float:
         """Penalty of the log-likelihood for the effects and parameters of a model."""
@@ -141,6 +148,8 @@ class Comparison:
         """(samples, signals) residual of each fold with the parameters of the other folds.
 
         The parameters without a fold follow from one Gauss-Newton step on the fit to all folds.
+        An effect may act in one recording only, such as a limit that only fast motion reaches. The
+        others then do not predict it, and each part of it is predicted from all other samples.
 
         Args:
             residual: (samples, signals) of the fit to all folds.
@@ -152,22 +161,41 @@ class Comparison:
         if not theta.size or not np.isfinite(residual).all():
             return residual
         weight = 1.0 / (np.mean(residual**2, axis=0) + self.floor**2)
-        folds = range(int(self.fold.max()) + 1)
-        inside = [self.fold == k for k in folds]
-        normal = [
-            np.einsum("tsp,s,tsq->pq", jacobian[own], weight, jacobian[own]) for own in inside
-        ]
-        gradient = [
-            np.einsum("tsp,s,ts->p", jacobian[own], weight, residual[own]) for own in inside
-        ]
-        whole, slope = np.sum(normal, axis=0), np.sum(gradient, axis=0)
+        whole, slope = _sums(residual, jacobian, weight)
         step = _solve(whole, slope, whole)
+        left_out = list[NDArray[np.bool_]]()
+        for fold in self._folds:
+            normal, _ = _sums(residual[fold], jacobian[fold], weight)
+            if self.has_one_recording or _is_determined(normal, whole):
+                left_out.append(fold)
+            else:
+                left_out += [fold & (self.part == k) for k in range(_PARTS_OF_ONE_RECORDING)]
         out = residual.copy()
-        for k, own in enumerate(inside):
-            change = _solve(whole - normal[k], slope - gradient[k], whole) - step
+        for own in left_out:
+            normal, gradient = _sums(residual[own], jacobian[own], weight)
+            change = _solve(whole - normal, slope - gradient, whole) - step
             moved = np.clip(theta + change, *bounds) - theta
             out[own] -= jacobian[own] @ moved
         return out
+
+    def rests_on_one_recording(self, residual: FloatArray, jacobian: FloatArray) -> bool:
+        """Whether only one recording determines a parameter.
+
+        Args:
+            residual: (samples, signals) of a fit.
+            jacobian: (samples, signals, parameters) derivative of its prediction.
+        """
+        weight = 1.0 / (np.mean(residual**2, axis=0) + self.floor**2)
+        whole, _ = _sums(residual, jacobian, weight)
+        return self.has_one_recording or not all(
+            _is_determined(_sums(residual[fold], jacobian[fold], weight)[0], whole)
+            for fold in self._folds
+        )
+
+    @property
+    def _folds(self) -> list[NDArray[np.bool_]]:
+        """Masks of the samples of each fold."""
+        return [self.fold == k for k in range(int(self.fold.max()) + 1)]
 
     def gain(self, residual: FloatArray, over: FloatArray) -> tuple[float, float]:
         """Mean gain of a residual over another one in a block, and its standard error.
@@ -199,6 +227,24 @@ class Comparison:
                 f"a model is compared on {residual.shape[0]} samples of {residual.shape[1]} "
                 f"signals; expected {expected[0]} samples of {expected[1]} signals"
             )
+
+
+def _sums(
+    residual: FloatArray, jacobian: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and gradient of a weighted least-squares problem."""
+    return (
+        np.einsum("tsp,s,tsq->pq", jacobian, weight, jacobian),
+        np.einsum("tsp,s,ts->p", jacobian, weight, residual),
+    )
+
+
+def _is_determined(normal: FloatArray, whole: FloatArray) -> bool:
+    """Whether the other folds determine all parameters that a fold with ``normal`` depends on."""
+    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    own, others = (each / np.outer(size, size) for each in (normal, whole - normal))
+    excess = np.linalg.eigvalsh(own - _MOST_OF_ONE_FOLD * others)
+    return bool((excess <= _RIDGE).all())
 
 
 def _solve(normal: FloatArray, right: FloatArray, whole: FloatArray) -> FloatArray:

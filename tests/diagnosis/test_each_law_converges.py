@@ -28,17 +28,16 @@ WORSE = 1.1
 """Largest ratio of the residual to that with the true parameters."""
 SAMPLE = ("coulomb_friction", "torque_saturation", "velocity_feedforward")
 NO_SLOPE = "watchdog_timeout"
-"""No slope leads to its time where the drive is off for the end of each rest only: other starts act
-never, or for much longer."""
+"""Its time acts in steps of the simulation: its fit ends at two noise floors."""
 SEEDS = 5
 """Draws among which the first is taken that excites the law."""
 
 
-def floors_after(effect: str, seed: int, folder: Path) -> tuple[float, ...]:
+def floors_after(effect: str, seed: int, folder: Path) -> tuple[float, ...] | None:
     """RMS residual of a drawn joint with the law, in noise floors.
 
     Without the law, with the law as the search finds it among no other candidates, and with its
-    true parameters.
+    true parameters. None if the recordings cannot show its parameters: a warm-up takes longer.
     """
     rng = np.random.default_rng([seed, LAWS.index(effect)])
     for _ in range(TRIES):
@@ -67,6 +66,8 @@ def floors_after(effect: str, seed: int, folder: Path) -> tuple[float, ...]:
             plant.scales.value(p, term.joint) / to.value(p, term.joint) for p in term.parameters
         ]
         true = search.simulated(plant.only(effect, theta * scales))
+        if search.physics.refusals(true.hypothesis):
+            return None
     return tuple(
         float(np.sqrt(m.mean_square / found.comparison.floor**2).max())
         for m in (found.nominal, found.incumbent, true)
@@ -77,10 +78,10 @@ def not_converged(effects: Sequence[str], folder: Path) -> dict[str, tuple[float
     """Effect -> RMS residual as found and with the true parameters, in noise floors."""
     out = {}
     for effect in effects:
-        for seed in range(SEEDS):
-            before, after, true = floors_after(effect, seed, folder)
-            if before > VERDICT.at_floor:
-                break
+        drawn = (floors_after(effect, seed, folder) for seed in range(SEEDS))
+        _, after, true = next(
+            (d for d in drawn if d is not None and d[0] > VERDICT.at_floor), (0.0, 0.0, 0.0)
+        )
         if after > max(VERDICT.identifiable, WORSE * true):
             out[effect] = after, true
     return out
@@ -98,7 +99,10 @@ def not_converged(effects: Sequence[str], folder: Path) -> dict[str, tuple[float
         pytest.param(
             (NO_SLOPE,),
             id=NO_SLOPE,
-            marks=[pytest.mark.nightly, pytest.mark.xfail(reason="its starts miss the time")],
+            marks=[
+                pytest.mark.nightly,
+                pytest.mark.xfail(reason="its slope is that of whole steps"),
+            ],
         ),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 from linear_physics import EFFECTS, FLOOR, LinearPhysics, drawn_physics, permuted
 
 from pytest_twin.diagnosis.search.accept import accepts
+from pytest_twin.diagnosis.search.physics import Physics
 from pytest_twin.diagnosis.search.posterior import MOST_WITH_ONE_RECORDING, posterior
 from pytest_twin.diagnosis.search.search import Search, SearchOutcome
 from pytest_twin.estimation.comparison import IncomparableModelsError
 from pytest_twin.estimation.deadline import OutOfTime
-from pytest_twin.estimation.hypothesis import EMPTY, Term
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 SEEDS = range(4)
 CANDIDATES = [Term(effect, joint) for joint in range(2) for effect in EFFECTS]
@@ -26,6 +28,11 @@ def drawn_truth(seed: int, count: int) -> dict[Term, float]:
     return {
         CANDIDATES[k]: CANDIDATES[k].parameters[0].starts[0] * rng.uniform(0.5, 1.5) for k in chosen
     }
+
+
+def truth_of(sizes: dict[Term, float]) -> Hypothesis:
+    """The hypothesis with effects of one parameter each."""
+    return EMPTY.with_terms({term: np.array([size]) for term, size in sizes.items()})
 
 
 def searched(physics: LinearPhysics) -> SearchOutcome:
@@ -147,6 +154,41 @@ def test_a_stopped_search_is_no_surer_of_a_wrong_effect(seed: int) -> None:
     for term, confidence in posterior(stopped).confidence.items():
         if term not in truth:
             assert confidence <= max(whole.get(term, 0.0), 0.5) + 1e-9
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    ("disturbance", "is_sure"), [(0.0, True), (3.0, False)], ids=["noise alone", "a residual"]
+)
+def test_a_search_that_a_limit_ends_is_sure_if_noise_remains_and_all_rivals_were_compared(
+    seed: int, disturbance: float, is_sure: bool
+) -> None:
+    truth = drawn_truth(seed, 2)
+    physics = drawn_physics(seed, truth=truth, disturbance=disturbance)
+
+    def stop(hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
+        raise OutOfTime
+
+    physics.other_settings = stop  # type: ignore[method-assign]
+    found = searched(physics)
+    assert not found.is_complete
+    assert terms_of(found) == set(truth)
+    # What remains may come from effects that a whole search would find.
+    assert (min(posterior(found).confidence.values()) > 0.95) is is_sure
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_effect_that_acts_in_one_of_two_recordings_is_found_but_not_certain(seed: int) -> None:
+    friction, delay = Term("viscous_friction", 0), Term("command_delay", 1)
+    physics = drawn_physics(seed, truth={friction: 0.2, delay: 0.02})
+    samples = np.repeat(physics.recordings, physics.lengths) > 0
+    before = physics.change(truth_of({friction: 0.2}))
+    physics.responses[friction][samples] *= 1e-3
+    physics.measured += physics.change(truth_of({friction: 0.2})) - before
+    found = searched(physics)
+    assert terms_of(found) == {friction, delay}
+    shares = posterior(found).confidence
+    assert shares[friction] <= MOST_WITH_ONE_RECORDING < shares[delay]
 
 
 @pytest.mark.parametrize("seed", SEEDS)

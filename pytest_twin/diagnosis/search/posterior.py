@@ -21,9 +21,11 @@ from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel
 
 MOST_WITH_ONE_RECORDING = 0.9
-"""Largest confidence from a single recording, whose parts are no independent repetitions."""
+"""Largest confidence from a single recording, whose parts are no independent repetitions, and of an
+effect that acts in one recording only."""
 MOST_UNFINISHED = 0.5
-"""Largest confidence where a limit ended the search before it compared its result with rivals."""
+"""Largest confidence where a limit ended the search before it compared its result with all rivals,
+or where more than noise remains, so that further effects may take the place of those so far."""
 SAME_PREDICTION = 0.5
 """Noise floors up to which two predictions are equal, so that neither set can be preferred."""
 _AS_LIKELY = 0.5
@@ -104,16 +106,13 @@ def posterior(
         is_possible: whether a set may be reported; others are no alternatives.
     """
     incumbent, out = found.incumbent, Posterior()
-    most = MOST_WITH_ONE_RECORDING if found.comparison.has_one_recording else 1.0
-    if not found.is_complete:
-        most = MOST_UNFINISHED
     rivals = (r for r in found.pool.rivals_of(incumbent) if is_possible(r.hypothesis))
     exchanges = independent(distinct(incumbent, rivals, _log_odds_of(found)))
     for term in incumbent.hypothesis.terms:
         against = [(e, float(np.exp(min(e.log_odds, 700.0)))) for e in exchanges
                    if term in e.removed]  # fmt: skip
         whole = 1.0 + sum(odds for _, odds in against)
-        out.confidence[term] = min(1.0 / whole, most)
+        out.confidence[term] = min(1.0 / whole, _most(found, term))
         out.alternatives[term] = sorted(
             (
                 AlternativeEffects(
@@ -130,6 +129,18 @@ def posterior(
         if e.model.is_simulated and e.log_odds > np.log(LEAST_ODDS)
     ]
     return out
+
+
+def _most(found: SearchOutcome, term: Term) -> float:
+    """Largest confidence of an effect of the last incumbent."""
+    incumbent = found.incumbent
+    if not (found.is_complete or found.is_compared):
+        return MOST_UNFINISHED
+    is_alone = found.comparison.has_one_recording
+    if incumbent.jacobian is not None:
+        own = incumbent.jacobian[:, :, incumbent.hypothesis.slice_of(term)]
+        is_alone = found.comparison.rests_on_one_recording(incumbent.residual, own)
+    return MOST_WITH_ONE_RECORDING if is_alone else 1.0
 
 
 def best_named(

@@ -60,6 +60,8 @@ class SearchOutcome:
         pool: all simulated models.
         comparison: by which models were compared.
         is_complete: whether no further proposal passes the acceptance test.
+        is_compared: whether only noise remains, and every rival of the last incumbent was fitted
+            along its motion, or by simulation where no slope leads to it.
     """
 
     incumbent: Model
@@ -69,6 +71,7 @@ class SearchOutcome:
     pool: Pool
     comparison: Comparison
     is_complete: bool
+    is_compared: bool
 
     def is_better(self, model: Model, simpler: Model) -> bool:
         """Whether a fitted model passes the test of the search against a simpler one."""
@@ -104,6 +107,8 @@ class Search:
         self._passed: Model | None = None
         self._has_compared_constraints = False
         self._fits = dict[frozenset[Term], tuple[Physics, Model]]()
+        self._compared: Model | None = None
+        self._without_setting = list[frozenset[Term]]()
         nominal = self._model(EMPTY, residual, "nominal model", EMPTY)
         self.nominal = nominal.with_jacobian(self.comparison, np.zeros((*residual.shape, 0)))
         self._simplest = self.nominal
@@ -143,9 +148,10 @@ class Search:
         except OutOfTime:
             # A model that passed the test is the result, although its last fit is missing.
             incumbent = self._passed or incumbent
+        leaves_noise = not self._exceeds(incumbent, VERDICT.identifiable)
         return SearchOutcome(
             incumbent, self.physics, self.nominal, tuple(scores), self.pool, self.comparison,
-            is_complete,
+            is_complete, leaves_noise and self._compared is incumbent,
         )  # fmt: skip
 
     def _may_win(self, size: Size, incumbent: Model) -> bool:
@@ -214,6 +220,7 @@ class Search:
             return better
         # Before other settings of the simulation: they fit errors of a wrong effect too.
         distant = self._distant_rivals(incumbent)
+        self._compared = incumbent
         return (
             self._accept_one(view, distant, incumbent)
             or self._other_settings(incumbent)
@@ -262,8 +269,11 @@ class Search:
         The floor contains the integration error of the model without effects, which may hide a
         wrong setting. Further parameters would explain the errors of it. Two settings may be wrong.
         """
-        if not incumbent.hypothesis.terms:
+        own = frozenset(incumbent.hypothesis.terms)
+        # What more effects do not explain with another setting, fewer do not either.
+        if not own or any(own <= tried for tried in self._without_setting):
             return None
+        self._without_setting.append(own)
         present, best, is_right = self.physics, incumbent, False
         try:
             for _ in range(_SETTINGS_TOGETHER):
