@@ -151,13 +151,15 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
             own = set(far.candidates)
             of_motion = first.without(*(t for t in first.terms if t not in own))
             start = _rescaled(of_motion, problem, away.problem)
-            found = _search(far, run, "windows far from contact", [start], _WHOLE_SHARE)
+            found = _search(
+                far, run, "windows far from contact", [], _WHOLE_SHARE, tentative=[start]
+            )
             start = _rescaled(found.incumbent.hypothesis, away.problem, problem)
     elif run.first_values is None and not _follows(problem, EMPTY):
         cut = _followed_windows(setup, prepared, trials)
         stage = f"windows of {cut.prepared.window:.2g} s"
         in_windows = _search(
-            cut, run, stage, [_rescaled(first, problem, cut.problem)], _WHOLE_SHARE
+            cut, run, stage, [], _WHOLE_SHARE, tentative=[_rescaled(first, problem, cut.problem)]
         )
         start = _rescaled(in_windows.incumbent.hypothesis, cut.problem, problem)
         physics = in_windows.physics
@@ -168,7 +170,10 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
     both = start
     for term in first.terms:
         both = both if term in both.terms else both.with_term_of(first, term)
-    found = _with_last_effects(_search(whole, run, "whole recordings", [first, start, both]), run)
+    is_first = start is first and run.first_values is None
+    starts, tentative = ([], [first]) if is_first else ([first, start, both], [])
+    found = _search(whole, run, "whole recordings", starts, tentative=tentative)
+    found = _with_last_effects(found, run)
     for _ in range(_LOWER_FLOORS):
         physics, best = found.physics, found.incumbent.hypothesis
         assert isinstance(physics, SimulatedPhysics)
@@ -265,11 +270,14 @@ def _search(
     stage: str,
     starts: Sequence[Hypothesis],
     kept_share: float = 0.0,
+    *,
+    tentative: Sequence[Hypothesis] = (),
 ) -> SearchOutcome:
     """One search, which the limits of the diagnosis may end early.
 
     Args:
         starts: earlier answers.
+        tentative: earlier answers from one recording.
         kept_share: share of the time limit that is kept for later searches.
     """
 
@@ -286,10 +294,12 @@ def _search(
     with run.budget.reserved():
         search = Search(physics, listener=_tracer(physics.problem, run), check=check)
         # What an earlier search found is the result if no time is left to fit it here.
-        earlier = [search.simulated(h) for h in starts if h.terms]
+        earlier, first = (
+            [search.simulated(h) for h in each if h.terms] for each in (starts, tentative)
+        )
     try:
         with run.budget.searching(kept_share):
-            return search.run(earlier)
+            return search.run(earlier, tentative=first)
     except _MadeBySimulationError as made:
         return _search(made.physics, run, "recordings of a simulation", [made.hypothesis])
 

@@ -10,6 +10,7 @@ import pytest
 from linear_physics import EFFECTS, FLOOR, LinearPhysics, drawn_physics, permuted
 
 from pytest_twin.diagnosis.search.accept import accepts
+from pytest_twin.diagnosis.search.model import Model
 from pytest_twin.diagnosis.search.physics import Physics
 from pytest_twin.diagnosis.search.posterior import MOST_WITH_ONE_RECORDING, posterior
 from pytest_twin.diagnosis.search.search import Search, SearchOutcome
@@ -142,6 +143,22 @@ def test_an_earlier_answer_is_the_result_where_no_time_is_left_to_fit_it() -> No
     physics.before_simulation = stop
     found = search.run([earlier])
     assert not found.is_complete
+    assert terms_of(found) == set(truth)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_answer_from_one_recording_that_leaves_much_is_compared_with_all_others(
+    seed: int,
+) -> None:
+    truth = {Term("viscous_friction", 0): 1.0, Term("coulomb_friction", 0): 1.0}
+    physics = drawn_physics(seed, truth=truth)
+    wrong = Term("armature", 0)
+    imitated = sum(physics.responses[t] for t in truth)
+    physics.responses = {**physics.responses, wrong: 0.3 * physics.responses[wrong] + imitated}
+    incumbents: list[Model] = []
+    search = Search(physics, check=incumbents.append)
+    found = search.run(tentative=[search.simulated(EMPTY.with_term(wrong, np.ones(1)))])
+    assert {wrong} not in [set(m.hypothesis.terms) for m in incumbents]
     assert terms_of(found) == set(truth)
 
 

@@ -114,21 +114,34 @@ class Search:
         self._simplest = self.nominal
         self.pool.add(self.nominal)
 
-    def run(self, starts: Sequence[Model] = (), rounds: int | None = None) -> SearchOutcome:
+    def run(
+        self,
+        starts: Sequence[Model] = (),
+        rounds: int | None = None,
+        *,
+        tentative: Sequence[Model] = (),
+    ) -> SearchOutcome:
         """Search until no proposal is accepted, or until a limit ends it.
 
         Args:
             starts: models of :meth:`simulated` that are compared first. The best one is the result
                 where a limit ends the search before its fit.
+            tentative: such models of a part of the recordings. Their effects may only imitate the
+                right ones and lead away from these, so they are compared with the neighbours of
+                the nominal model, unless they leave noise alone.
             rounds: largest number of rounds; that of the settings by default.
         """
         incumbent, scores, is_complete = self.nominal, [self.nominal.score], False
+        best = incumbent
         try:
-            best = incumbent
-            for start in starts:
+            for start in (*starts, *tentative):
                 best = start if self._decide(start, best).is_accepted else best
             if best is not incumbent:
-                incumbent = self._accept_fitted(best, incumbent) or incumbent
+                is_of_part = any(best is each for each in tentative)
+                best = self._accept_fitted(best, incumbent) or incumbent
+                if is_of_part and self._exceeds(best, VERDICT.at_floor):
+                    best = self._round(incumbent, [best]) or best
+                incumbent = best
                 scores.append(incumbent.score)
             if self.physics.given:
                 self._simplest = self._with_given(starts)
@@ -147,7 +160,7 @@ class Search:
                 scores.append(incumbent.score)
         except OutOfTime:
             # A model that passed the test is the result, although its last fit is missing.
-            incumbent = self._passed or incumbent
+            incumbent = self._passed or (best if incumbent is self.nominal else incumbent)
         leaves_noise = not self._exceeds(incumbent, VERDICT.identifiable)
         return SearchOutcome(
             incumbent, self.physics, self.nominal, tuple(scores), self.pool, self.comparison,
@@ -186,8 +199,12 @@ class Search:
         fitted = [self._fitted(m) for m in models if m.is_finite]
         return max(fitted, key=lambda m: m.score, default=self.nominal)
 
-    def _round(self, incumbent: Model) -> Model | None:
-        """The model that replaces the incumbent; None if no proposal passes the test."""
+    def _round(self, incumbent: Model, others: Sequence[Model] = ()) -> Model | None:
+        """The model that replaces the incumbent; None if no proposal passes the test.
+
+        Args:
+            others: earlier answers that are compared with the proposals.
+        """
         if not self._exceeds(incumbent, VERDICT.identifiable):
             better = self._setting_at_noise(incumbent)
             if better is not None or incumbent is self._simplest:
@@ -215,8 +232,8 @@ class Search:
         )
         models = self._fit_best(view, models, incumbent, self.settings.finalists)
         models += self._from_starts(view, models, incumbent, attempted=True)
-        better = self._accept_one(view, models, incumbent)
-        if better is not None:
+        better = self._accept_one(view, [*models, *others], incumbent)
+        if better is not None or others:
             return better
         # Before other settings of the simulation: they fit errors of a wrong effect too.
         distant = self._distant_rivals(incumbent)
