@@ -70,7 +70,7 @@ WAYS: dict[str, tuple[str, tuple[tuple[str, str], ...]]] = {
     "diagnosis": (
         "diagnose",
         (
-            ("roles", "recordings to fit, validate and test"),
+            ("trials", "recordings to fit and to hold out"),
             ("prepare", "residual and noise floor of each joint"),
             ("first_order", "effects ranked by linearized dynamics"),
             ("search", "sets of effects, fitted by simulation"),
