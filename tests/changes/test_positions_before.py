@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +36,13 @@ def new_recording(folder: Path, **hidden: float) -> Path:
     return record(folder / "new.mcap", 20, seconds=2.0, joints=JOINTS, **(WRONG | hidden))
 
 
-def compare(robot: Path, out: Path, *new: Path, seconds: str = "0") -> tuple[int, dict[str, Any]]:
+def compare(
+    robot: Path, out: Path, *new: Path, seconds: str = "0", held_out: Sequence[Path] = ()
+) -> tuple[int, dict[str, Any]]:
     earlier = [str(robot / f"old{seed}.mcap") for seed in range(4)]
     status = main([
         "diagnose", str(robot / "model.xml"), *map(str, new), "--before", *earlier,
+        *(["--held-out", *map(str, held_out)] if held_out else []),
         "--out", str(out), "--seconds", seconds,
     ])  # fmt: skip
     document = json.loads((out / "diagnosis.json").read_text()) if status < 2 else {}
@@ -74,6 +78,18 @@ def test_more_dry_friction_is_named_with_the_value_before(robot: Path, tmp_path:
     assert float(written.split('frictionloss="')[1].split('"')[0]) == pytest.approx(0.08, abs=0.004)
     assert document["position"]["left"]["unit"] == "rad"
     assert "Coulomb friction" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_held_out_recording_tests_the_change_and_is_not_fitted(
+    robot: Path, tmp_path: Path
+) -> None:
+    other = WRONG | {"dry": 0.12}
+    held_out = record(tmp_path / "held_out.mcap", 21, seconds=2.0, joints=JOINTS, **other)
+    new = new_recording(tmp_path, dry=0.08)
+    _, document = compare(robot, tmp_path / "out", new, held_out=[held_out])
+    (finding,) = document["findings"]
+    assert finding["parameters"]["coulomb"]["value"] == pytest.approx(0.08, abs=0.004)
+    assert 0.2 < finding["held_out_gain"] < 0.95
 
 
 def test_in_a_repeated_motion_an_error_of_the_model_is_no_background(
