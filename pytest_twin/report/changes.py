@@ -8,6 +8,7 @@ from typing import Any
 from pytest_twin.report.change_plots import difference_figure
 from pytest_twin.report.diagnosis import spans_in_words
 from pytest_twin.report.finding_words import (
+    SURE,
     ambiguity_sentence,
     beside_the_model,
     meaning_of,
@@ -128,16 +129,23 @@ def headline(document: Mapping[str, Any]) -> str:
 
 
 def _from_to(finding: Mapping[str, Any]) -> str:
-    """Effect, joint, and the largest change of its values: ``at joint elbow, 0.41 to 0.78 N*m``."""
+    """Effect, joint, and the largest change of its values: ``at joint elbow, 0.41 to 0.78 N*m``.
+
+    A name that the recordings do not separate from others says so.
+    """
+    confidence, text = finding["confidence"], place(finding)
+    if confidence < SURE:
+        # Above one half it is more likely than all others together.
+        text = f"probably {text}" if confidence > 0.5 else f"could be {text}"
     if not finding["change"]:
-        return place(finding)
+        return text
     key = max(finding["change"], key=lambda name: abs(finding["change"][name]["value"]))
     before, now = (
         beside_the_model(finding["effect"], key, each[key]["value"], each[key]["unit"])
         for each in (finding["known_before"], finding["parameters"])
     )
     unit = finding["change"][key]["unit"]
-    return f"{place(finding)}, {before.removesuffix(f' {unit}')} to {now}"
+    return f"{text}, {before.removesuffix(f' {unit}')} to {now}"
 
 
 def _is_as_before(document: Mapping[str, Any]) -> bool:

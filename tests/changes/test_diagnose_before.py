@@ -12,6 +12,7 @@ import pytest
 
 from pytest_twin.cli import main
 from pytest_twin.realization import Realization
+from pytest_twin.report.changes import headline
 
 sys.path.append(str(Path(__file__).parents[1] / "identification"))
 from arms import simulated_effort, true_arm, write_model, write_recording
@@ -72,9 +73,20 @@ def test_more_dry_friction_in_one_recording_is_named_with_its_size(
     assert finding["held_out_gain"] is None
     assert document["before"]["recordings"] == [f"old{k}.csv" for k in range(EARLIER)]
     assert "nothing is held out" in capsys.readouterr().out
-    assert "Changed: Coulomb friction at joint shoulder" in (
+    assert "Changed: probably Coulomb friction at joint shoulder" in (
         (tmp_path / "out" / "report.html").read_text()
     )
+
+
+@pytest.mark.parametrize(
+    ("confidence", "words"),
+    [(0.9, "payload"), (0.51, "probably payload"), (0.5, "could be payload")],
+)
+def test_the_first_line_says_how_likely_a_name_is(confidence: float, words: str) -> None:
+    finding = {"effect": "payload", "joint": None, "confidence": confidence, "change": {}}
+    residual = {"elbow": {"rms_usual": 1.0, "rms_after": 9.0}}
+    document = {"verdict": "changed", "findings": [finding], "position": residual}
+    assert headline(document) == f"Changed: {words}"
 
 
 def test_held_out_recordings_test_the_change(robot: Path, tmp_path: Path) -> None:

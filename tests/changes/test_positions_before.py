@@ -141,6 +141,7 @@ def test_a_later_command_is_a_delay_of_commands_or_readings(robot: Path, tmp_pat
     assert finding["change"]["delay"]["value"] == pytest.approx(0.012, abs=0.002)
     # Positions alone do not tell a late command from a late reading.
     assert finding["confidence"] < 0.6
+    assert "Changed: could be " in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_at_the_time_limit_the_best_answer_is_given(robot: Path, tmp_path: Path) -> None:
