@@ -324,7 +324,7 @@ def test_from_a_log_to_a_patched_model(reader: Reader) -> None:
 
 
 def test_a_machine_that_wears(reader: Reader) -> None:
-    """A release with a check motion; the machine wears, is repaired, or is accepted as it is."""
+    """The tutorial: sign a release, find the wear, then repair the machine or change the model."""
     page = "docs/tutorials/worn_machine.md"
     start = reader.folder
     reader.folder = start / "checkout"

@@ -12,7 +12,7 @@ from pytest_twin.effects import catalogue
 NEEDED_SHARE = 0.9
 """Share of the probability that the listed names have together."""
 _LIKELY = 1.0 - NEEDED_SHARE
-"""Smallest share of a name that is listed if all names together have less than 90 %."""
+"""Smallest probability of a name in the list, where even all names together have less than 90 %."""
 
 
 def state_not_separated(document: dict[str, Any], model: Path, folder: Path) -> None:
@@ -40,7 +40,7 @@ def state_not_separated(document: dict[str, Any], model: Path, folder: Path) -> 
 
 
 def not_separated(finding: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the fewest names that together have 90 % of the probability; empty for a single name.
+    """Return the likeliest names, until they have 90 % of the probability; empty for one name.
 
     Each has ``name`` (``EFFECT@JOINT``; several effects joined by ``+``) and ``confidence``.
     """

@@ -22,8 +22,8 @@ def joint_names(path: Path, known: Collection[str]) -> tuple[str, ...]:
 
     Args:
         path: file or folder that can store a stamp.
-        known: names that are expected. Where the first messages name one of them, the others are
-            not decoded.
+        known: names that are expected. If one of them is in the first message of a topic, the later
+            messages are not decoded.
     """
     try:
         if LeRobotStamp.is_dataset(path):
