@@ -1,4 +1,4 @@
-"""Counts and lists in sentences."""
+"""Counts, lists and first words of sentences."""
 
 from __future__ import annotations
 
@@ -20,3 +20,8 @@ def list_names(names: Sequence[str], most: int = 8, separator: str = ", ") -> st
     """List names; of more than ``most`` the first, and the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return separator.join(names[:most]) + more
+
+
+def capitalize_first(text: str) -> str:
+    """Begin a sentence with a text, whose other capitals stay."""
+    return text[:1].upper() + text[1:]

@@ -14,7 +14,7 @@ prior of several equally probable covariances gives the mean of the evidences.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,34 +139,62 @@ def sizes(unit: FloatArray) -> FloatArray:
 def evidence_of(contrast: Contrast, shapes: Sequence[Shape], inflation: float) -> FloatArray:
     """(shapes,) log evidence of a change of each law against no change, of equal priors."""
     evidence = np.empty(len(shapes))
-    amplitudes = np.array([len(shape.columns) for shape in shapes])
-    for count in np.unique(amplitudes):
-        (which,) = np.nonzero(amplitudes == count)
-        columns = np.array([shapes[k].indices for k in which.tolist()])
-        evidence[which] = estimated(contrast, columns, sizes(np.eye(count)), inflation).evidence
+    for which, columns in _of_equal_size(shapes):
+        priors = sizes(np.eye(columns.shape[1]))
+        evidence[which] = estimated(contrast, columns, priors, inflation).evidence
     return evidence
 
 
-def inflation_of(left_out: Sequence[Contrast], shapes: Sequence[Shape]) -> float:
-    """Mean over joints of how much more laws seem to change than a known scatter explains.
-
-    Where the covariance is as assumed, twice the gain of log-likelihood is on average the number of
-    amplitudes that the rows determine, the trace of ``V I``. The factor of a joint is at least 1.
-    """
-    squares, determined = np.zeros(len(shapes)), np.zeros(len(shapes))
+def _of_equal_size(
+    shapes: Sequence[Shape],
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """For each number of amplitudes k: (n,) which shapes have it, and their (n, k) columns."""
     amplitudes = np.array([len(shape.columns) for shape in shapes])
-    for contrast in left_out:
-        for count in np.unique(amplitudes):
-            (which,) = np.nonzero(amplitudes == count)
-            columns = np.array([shapes[k].indices for k in which.tolist()])
-            usual = AMPLITUDE_PRIOR**2 * np.eye(count)[None]
-            change = estimated(contrast, columns, usual, 1.0)
-            information = contrast.information[columns[:, :, None], columns[:, None, :]]
-            squares[which] += (contrast.vector[columns] * change.value).sum(axis=1)
-            determined[which] += np.einsum("nab,nba->n", change.covariance, information)
-    joints = np.array([shape.term.joint for shape in shapes])
-    ratios = [
-        max(float(squares[own].sum() / max(determined[own].sum(), 1e-300)), 1.0)
-        for own in (joints == joint for joint in np.unique(joints))
-    ]
-    return float(np.exp(np.mean(np.log(ratios))))
+    for count in np.unique(amplitudes):
+        (which,) = np.nonzero(amplitudes == count)
+        yield which, np.array([shapes[k].indices for k in which.tolist()])
+
+
+@dataclass(frozen=True)
+class SeemingChanges:
+    """How much laws seem to change in sessions where nothing changed.
+
+    Attributes:
+        squares: (sessions, shapes) twice the gain of log-likelihood by a change.
+        determined: (sessions, shapes) number of amplitudes that the rows determine, the trace of
+            ``V I``. Where the covariance is as assumed, it is the mean of ``squares``.
+        joints: (shapes,) joint of each law.
+    """
+
+    squares: FloatArray
+    determined: FloatArray
+    joints: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, left_out: Sequence[Contrast], shapes: Sequence[Shape]) -> SeemingChanges:
+        """Those of sessions that are left out of the background."""
+        squares, determined = np.zeros((2, len(left_out), len(shapes)))
+        for which, columns in _of_equal_size(shapes):
+            usual = AMPLITUDE_PRIOR**2 * np.eye(columns.shape[1])[None]
+            for at, contrast in enumerate(left_out):
+                change = estimated(contrast, columns, usual, 1.0)
+                information = contrast.information[columns[:, :, None], columns[:, None, :]]
+                squares[at, which] = (contrast.vector[columns] * change.value).sum(axis=1)
+                determined[at, which] = np.einsum("nab,nba->n", change.covariance, information)
+        return cls(squares, determined, np.array([shape.term.joint for shape in shapes]))
+
+    def inflation(self, without: int | None = None) -> float:
+        """Mean over joints of how much more laws seem to change than a known scatter explains.
+
+        The factor of a joint is at least 1.
+
+        Args:
+            without: session that does not count; None if all do.
+        """
+        used = np.arange(len(self.squares)) != (-1 if without is None else without)
+        squares, determined = self.squares[used].sum(axis=0), self.determined[used].sum(axis=0)
+        ratios = [
+            max(float(squares[own].sum() / max(determined[own].sum(), 1e-300)), 1.0)
+            for own in (self.joints == joint for joint in np.unique(self.joints))
+        ]
+        return float(np.exp(np.mean(np.log(ratios))))

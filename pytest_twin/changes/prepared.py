@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Background, Contrast, Information, Rows
-from pytest_twin.changes.evidence import TWO_SIDED, Tempering, evidence_of, inflation_of
+from pytest_twin.changes.evidence import TWO_SIDED, SeemingChanges, Tempering, evidence_of
 from pytest_twin.changes.scatter import Scatter, SessionSums, scatter_of
 from pytest_twin.identification.effort.law_columns import Shape
 
@@ -275,13 +275,10 @@ def _null(
     left_out: Sequence[Contrast], shapes: Sequence[Shape], freedom: int
 ) -> tuple[Null, Tempering]:
     """Scores of sessions that are left out, and the tempering of later scores."""
-
-    def tempering(used: Sequence[Contrast], freedom: int) -> Tempering:
-        return Tempering(inflation_of(used, shapes), max(freedom, 1))
-
+    seeming = SeemingChanges.of(left_out, shapes)
     scores = []
     for at, contrast in enumerate(left_out):
-        of_others = tempering([*left_out[:at], *left_out[at + 1 :]], freedom - 1)
+        of_others = Tempering(seeming.inflation(without=at), max(freedom - 1, 1))
         evidence = evidence_of(contrast, shapes, of_others.inflation)
         scores.append(of_others.score(shapes, evidence))
-    return Null(np.array(scores)), tempering(left_out, freedom)
+    return Null(np.array(scores)), Tempering(seeming.inflation(), max(freedom, 1))

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pytest_twin.effects.base import MODES, REFERENCES, Effect, Parameter
+from pytest_twin.words import capitalize_first
 
 
 def cards(effects: Mapping[str, Effect]) -> str:
@@ -71,7 +72,7 @@ def card(effect: Effect) -> str:
     ]
     if effect.confused_with:
         tests = (
-            (f"`{rival}`", f"{test[:1].upper()}{test[1:]}.")
+            (f"`{rival}`", f"{capitalize_first(test)}.")
             for rival, test in effect.confused_with.items()
         )
         lines.append(_table(("confused with", "test that separates them"), tests))

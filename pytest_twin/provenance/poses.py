@@ -53,13 +53,15 @@ def recordings_of(
         TwinError: a damaged recording.
     """
     try:
-        found = recordings_at(dataset, twin.topics, twin.recordings)
+        recordings = recordings_at(dataset, twin.topics, twin.recordings)
     except FormatError:
         files = [c.path for c in carriers_of(dataset) if c.path.suffix.lower() == ".mcap"]
         if files == [dataset]:
             raise
-        found = [one for file in files for one in recordings_at(file, twin.topics, twin.recordings)]
-    return [_renamed(one, names, joints) for one in found]
+        recordings = [
+            one for file in files for one in recordings_at(file, twin.topics, twin.recordings)
+        ]
+    return [_renamed(recording, names, joints) for recording in recordings]
 
 
 def _renamed(recording: Recording, names: JointNames, joints: Collection[str]) -> Recording:

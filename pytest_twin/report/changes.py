@@ -18,7 +18,7 @@ from pytest_twin.report.finding_words import (
 )
 from pytest_twin.report.page import Page, svg_uri
 from pytest_twin.report.text import number, quantity
-from pytest_twin.words import list_names
+from pytest_twin.words import capitalize_first, list_names
 
 _VERDICT = {
     "no_change": "Nothing changed that these recordings show",
@@ -131,7 +131,7 @@ def headline(document: Mapping[str, Any]) -> str:
 def _from_to(finding: Mapping[str, Any]) -> str:
     """Effect, joint, and the largest change of its values: ``at joint elbow, 0.41 to 0.78 N*m``.
 
-    A name that the recordings do not separate from others says so.
+    An uncertain effect is preceded by "probably" or "could be".
     """
     confidence, text = finding["confidence"], place(finding)
     if confidence < SURE:
@@ -245,7 +245,7 @@ def _before_and_after(finding: Mapping[str, Any]) -> list[str]:
     name = place(finding)
     if finding.get("motor") is not None:
         name += f" (all motors of the type {finding['motor']} changed)"
-    lines = [f"{name[:1].upper()}{name[1:]}, beside the model:"]
+    lines = [f"{capitalize_first(name)}, beside the model:"]
     lines += [
         f"  {meaning}: {before} before, {now} now; change {change}"
         for meaning, before, now, change in _rows(finding)
@@ -268,10 +268,4 @@ def _errors(error: Mapping[str, Any]) -> tuple[str, str, str]:
     return usual, before, after
 
 
-def _capitalize_first(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-_PAGE = Page(
-    "changes.html.j2", "diagnosis.css", percent=percent, capitalize_first=_capitalize_first
-)
+_PAGE = Page("changes.html.j2", "diagnosis.css", percent=percent, capitalize_first=capitalize_first)

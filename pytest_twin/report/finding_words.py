@@ -7,7 +7,7 @@ from typing import Any
 
 from pytest_twin.effects import Parameter, catalogue
 from pytest_twin.report.text import number, quantity
-from pytest_twin.words import join_words
+from pytest_twin.words import capitalize_first, join_words
 
 SURE = 0.9
 """Confidence above which no further test is recommended; less likely alternatives are not named."""
@@ -42,7 +42,7 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
         return f"The {meaning}{form}{of} is {amount}."
     listed = ", ".join(f"{meaning} {amount}" for meaning, amount in values)
     name = place(finding)
-    return f"{name[:1].upper()}{name[1:]}{form}: {listed}."
+    return f"{capitalize_first(name)}{form}: {listed}."
 
 
 def law_sentence(finding: Mapping[str, Any]) -> str:

@@ -138,8 +138,8 @@ def _most(found: SearchOutcome, term: Term) -> float:
         return MOST_UNFINISHED
     is_alone = found.comparison.has_one_recording
     if incumbent.jacobian is not None:
-        own = incumbent.jacobian[:, :, incumbent.hypothesis.slice_of(term)]
-        is_alone = found.comparison.rests_on_one_recording(incumbent.residual, own)
+        of_effect = incumbent.jacobian[:, :, incumbent.hypothesis.slice_of(term)]
+        is_alone = found.comparison.rests_on_one_recording(incumbent.residual, of_effect)
     return MOST_WITH_ONE_RECORDING if is_alone else 1.0
 
 

@@ -132,16 +132,15 @@ class Search:
             rounds: largest number of rounds; that of the settings by default.
         """
         incumbent, scores, is_complete = self.nominal, [self.nominal.score], False
-        best = incumbent
         try:
+            best = incumbent
             for start in (*starts, *tentative):
                 best = start if self._decide(start, best).is_accepted else best
             if best is not incumbent:
                 is_of_part = any(best is each for each in tentative)
-                best = self._accept_fitted(best, incumbent) or incumbent
-                if is_of_part and self._exceeds(best, VERDICT.at_floor):
-                    best = self._round(incumbent, [best]) or best
-                incumbent = best
+                incumbent = self._accept_fitted(best, incumbent) or incumbent
+                if is_of_part and self._exceeds(incumbent, VERDICT.at_floor):
+                    incumbent = self._round(self.nominal, [incumbent]) or incumbent
                 scores.append(incumbent.score)
             if self.physics.given:
                 self._simplest = self._with_given(starts)
@@ -160,7 +159,7 @@ class Search:
                 scores.append(incumbent.score)
         except OutOfTime:
             # A model that passed the test is the result, although its last fit is missing.
-            incumbent = self._passed or (best if incumbent is self.nominal else incumbent)
+            incumbent = self._passed or incumbent
         leaves_noise = not self._exceeds(incumbent, VERDICT.identifiable)
         return SearchOutcome(
             incumbent, self.physics, self.nominal, tuple(scores), self.pool, self.comparison,
@@ -286,11 +285,11 @@ class Search:
         The floor contains the integration error of the model without effects, which may hide a
         wrong setting. Further parameters would explain the errors of it. Two settings may be wrong.
         """
-        own = frozenset(incumbent.hypothesis.terms)
+        effects = frozenset(incumbent.hypothesis.terms)
         # What more effects do not explain with another setting, fewer do not either.
-        if not own or any(own <= tried for tried in self._without_setting):
+        if not effects or any(effects <= tried for tried in self._without_setting):
             return None
-        self._without_setting.append(own)
+        self._without_setting.append(effects)
         present, best, is_right = self.physics, incumbent, False
         try:
             for _ in range(_SETTINGS_TOGETHER):
