@@ -40,6 +40,21 @@ def _is_default(solref: FloatArray, solimp: FloatArray, timestep: float) -> bool
     )
 
 
+def follow_timestep(spec: mujoco.MjSpec, timestep: float) -> None:
+    """Make stiff dry friction as stiff as the time step of a spec allows.
+
+    Args:
+        spec: changed in place.
+        timestep: time step for which the friction is stiff now, s.
+    """
+    before = stiff_friction(timestep)
+    after = stiff_friction(float(spec.option.timestep))
+    for joint in spec.joints:
+        known = joint.solref_friction, joint.solimp_friction
+        if all(np.allclose(a, b, rtol=1e-5) for a, b in zip(known, before, strict=True)):
+            joint.solref_friction[:], joint.solimp_friction[:] = after
+
+
 def stiffen_friction(
     model: mujoco.MjModel, dofs: Sequence[int] | NDArray[np.int64], timestep: float
 ) -> None:

@@ -30,8 +30,10 @@ _BRISTLE_SHARE = 0.1
 """Stiffness of the bristles of a dry friction whose law has none, as a share of what a time step
 resolves (inertia divided by the step squared)."""
 _REMAINING_SHARE = 0.05
-"""Share of the extra friction at rest that these bristles keep in motion: a level of 0 has no
-bristles."""
+"""Share of the extra friction at rest that these bristles keep in motion, taken from the constant
+level: a level of 0 has no bristles."""
+_LEAST_SHARE = 1e-3
+"""That share where there is no constant level; it is too much friction in motion."""
 _SPARE_SAMPLES = 3
 """Samples of a delay line beyond the delay itself."""
 
@@ -69,6 +71,7 @@ class ExportedMjcf:
         motors: joint -> its motor-side joint.
         readings: joint -> how its sensor reads it; other joints read their own position.
         drives: joint -> name of its actuator.
+        bristles: names of the actuators with bristles that are as stiff as the time step resolves.
     """
 
     spec: mujoco.MjSpec
@@ -76,6 +79,7 @@ class ExportedMjcf:
     motors: Mapping[str, MotorJoint]
     readings: Mapping[str, Reading]
     drives: Mapping[str, str]
+    bristles: frozenset[str]
 
 
 class MjcfExporter:
@@ -105,6 +109,7 @@ class MjcfExporter:
         self.readings: dict[str, Reading] = {}
         self.biases: dict[str, float] = {}
         self.cogging: list[tuple[str, float, int, float]] = []
+        self.bristles: list[str] = []
         self._expressions: dict[tuple[str, str | None], Expression] = {}
         self._of_drive: dict[str, list[AppliedEffect]] = {}
         self._passive = 0
@@ -172,6 +177,7 @@ class MjcfExporter:
                 for at, joint in enumerate(joints)
                 if (name := self.native.actuator_name(at))
             },
+            frozenset(self.bristles),
         )
 
     def drive(self, column: int) -> mujoco.MjsActuator | None:
@@ -200,21 +206,27 @@ class MjcfExporter:
         *,
         cogging: Sequence[float] = (),
         lugre: Sequence[float] = (),
-    ) -> None:
-        """Add a motor without input, current and control: a passive force on a joint."""
+    ) -> str:
+        """Add a motor without input, current and control: a passive force on a joint.
+
+        Returns:
+            Its name.
+        """
         self._passive += 1
-        actuator = self.spec.add_actuator(name=f"{joint}_{element}_{self._passive}", target=joint)
+        name = f"{joint}_{element}_{self._passive}"
+        actuator = self.spec.add_actuator(name=name, target=joint)
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         actuator.set_to_dcmotor(
             motorconst=[0.0, 0.0], resistance=1.0,
             cogging=list(cogging) or [0.0] * 3, lugre=list(lugre) or [0.0] * 5,
             ctrlspec=NO_INPUT,
         )  # fmt: skip
+        return name
 
     def constant(self, joint: str, effort: float) -> str:
         """Add a constant effort on a joint, N*m or N: a cogging torque with no poles."""
-        self.passive(joint, "constant", cogging=[effort, 0.0, math.pi / 2.0])
-        return f"dcmotor '{joint}_constant_{self._passive}' without input"
+        name = self.passive(joint, "constant", cogging=[effort, 0.0, math.pi / 2.0])
+        return f"dcmotor '{name}' without input"
 
     def inertia(self, column: int) -> float:
         """Inertia that a force on a joint moves at least: its armature and its link, SI units."""
@@ -255,7 +267,8 @@ class MjcfExporter:
                 self._decide(effect, Form("", "lost", why))
             else:
                 assert actuator is not None
-                self._decide(effect, Form(f"actuator '{actuator.name}' {element}"))
+                why = _OF_DRIVES.get(effect.effect, "")
+                self._decide(effect, Form(f"actuator '{actuator.name}' {element}", why=why))
         self.native.model = self.spec.compile()
 
     def _shift_zero(self, joint: str, bias: float) -> None:
@@ -382,32 +395,37 @@ def _presliding(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
     if level <= 0.0:
         return _lost(effect, "bristles need a positive friction level")
     assert effect.joint is not None
-    x.passive(effect.joint, "presliding", lugre=[level / distance, 0.0, level, level, 1.0])
-    return Form(f"dcmotor '{effect.joint}_presliding' without input, lugre")
+    name = x.passive(effect.joint, "presliding", lugre=[level / distance, 0.0, level, level, 1.0])
+    return Form(f"dcmotor '{name}' without input, lugre")
 
 
 def _stribeck(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
-    excess = effect.values["stiction_excess"]
+    excess, level = effect.values["stiction_excess"], effect.values["coulomb"]
     assert effect.joint is not None
-    native = x.native.write(
-        Term(friction.CoulombFriction.id, column), {"coulomb": effect.values["coulomb"]}
-    )
     if excess <= 0.0:
-        return Form(native[0].written)
+        (native,) = x.native.write(Term(friction.CoulombFriction.id, column), {"coulomb": level})
+        return Form(native.written)
+    before = float(x.model.dof_frictionloss[x.layout.dof_index[column]])
+    # The bristles carry a part of the friction in motion, and the constant level the rest.
+    available = before + level
+    remaining = max(min(_REMAINING_SHARE * excess, available), _LEAST_SHARE * excess)
+    (native,) = x.native.write(
+        Term(friction.CoulombFriction.id, column),
+        {"coulomb": level - min(remaining, available)},
+    )
     inertia, step = x.inertia(column), float(x.spec.option.timestep)
     stiffness = _BRISTLE_SHARE * inertia / step**2
-    x.passive(
+    name = x.passive(
         effect.joint, "stiction",
         lugre=[
-            stiffness, 0.0, _REMAINING_SHARE * excess, excess,
-            effect.values["stribeck_velocity"],
+            stiffness, 0.0, remaining, remaining + excess, effect.values["stribeck_velocity"],
         ],
     )  # fmt: skip
+    x.bristles.append(name)
     return Form(
-        f"joint '{effect.joint}' frictionloss; dcmotor '{effect.joint}_stiction' without input, "
-        "lugre",
+        f"{native.written}; dcmotor '{name}' without input, lugre",
         "kept",
-        f"the extra friction at rest gives by {excess / stiffness:.2g} rad or m before it slides",
+        "the extra friction at rest gives before it slides, as little as the time step resolves",
     )
 
 
@@ -503,6 +521,11 @@ _NOT_IN_MJX: Mapping[str, str] = {
     ),
 }  # fmt: skip
 """Effect -> why MJX lacks what MuJoCo has for it."""
+_OF_DRIVES: Mapping[str, str] = {
+    actuation.TorqueSpeedLimit.id: "above its no-load speed a dcmotor brakes by its back-EMF; the "
+    "diagnosed law has no effort there",
+}
+"""Effect of a drive -> what its actuator does otherwise."""
 _FORMS: Mapping[str, Callable[[MjcfExporter, AppliedEffect, int], Form]] = {
     actuation.ActuatorLag.id: _lag,
     actuation.RateLimit.id: _rate,

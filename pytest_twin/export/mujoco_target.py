@@ -147,7 +147,7 @@ class MujocoExport:
         )
         exported = self.variant(self.realization.variant(controller or None, payload or None))
         spec = exported.spec.copy()
-        integration.apply(spec)
+        integration.apply(spec, exported.bristles)
         return replay_exported(exported, spec.compile(), row)
 
     def _declares(self, table: str) -> bool:
@@ -158,7 +158,7 @@ class MujocoExport:
         self, folder: Path, name: str, exported: ExportedMjcf, integration: Integration
     ) -> str:
         spec = exported.spec.copy()
-        integration.apply(spec)
+        integration.apply(spec, exported.bristles)
         model = spec.compile()
         atomic.write_text(folder / name, mjcf_file.with_exact_inertia(spec, model))
         return name
