@@ -202,8 +202,9 @@ def _bodies_of_spec(spec: mujoco.MjSpec, nodes: _Nodes, out: Asset) -> None:
             diagonal = np.array(body.inertia, dtype=np.float64)
             found.inertia = inertia.tensor(full) if np.isfinite(full[0]) else np.diag(diagonal)
         out.bodies.append(found)
-        parent = body.parent
-        if parent is not None:
+        # MuJoCo 3.11 ends the process when the parent of the world is read.
+        if name != "world":
+            parent = body.parent
             out.edges.append(
                 Edge(
                     name,

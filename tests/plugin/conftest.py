@@ -13,6 +13,7 @@ import coal
 import h5py
 import matplotlib.pyplot
 import mujoco
+import numpy.fft
 import onnx
 import pinocchio
 import pytest
@@ -30,6 +31,7 @@ assert CryptoSigner.generate_ed25519().private_bytes
 assert coal.CollisionObject
 assert matplotlib.pyplot.figure
 assert mujoco.MjModel
+assert numpy.fft.rfft
 assert pinocchio.Model
 assert onnx.ModelProto
 assert worker.run_golden
