@@ -63,6 +63,19 @@ class Edge:
 
 
 @dataclass(slots=True)
+class Placement:
+    """Roll, pitch and yaw of an inertial frame or a shape, as stated.
+
+    Attributes:
+        rpy: (3,) rad.
+    """
+
+    place: Place
+    element: str
+    rpy: Vector
+
+
+@dataclass(slots=True)
 class Joint:
     """A joint, with one or more degrees of freedom, between a body and its parent.
 
@@ -268,6 +281,7 @@ class Asset:
     root: Node | None = None
     bodies: list[Body] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
+    placements: list[Placement] = field(default_factory=list)
     joints: list[Joint] = field(default_factory=list)
     mimics: list[Mimic] = field(default_factory=list)
     couplings: list[Coupling] = field(default_factory=list)

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pytest_twin.audit.asset import Asset
+from pytest_twin.audit.asset import Asset, Vector
 from pytest_twin.audit.evidence import Evidence
 from pytest_twin.audit.finding import Finding, finding_of
+from pytest_twin.audit.geometry import Geometry
 
 _PORTABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _TOOL = re.compile(
@@ -29,12 +30,13 @@ def frame_bodies(asset: Asset) -> list[str]:
     ]
 
 
-def check(asset: Asset, evidence: Evidence) -> Iterator[Finding]:
+def check(asset: Asset, evidence: Evidence, geometry: Geometry) -> Iterator[Finding]:
     """Yield faults and unknown properties of frames."""
     yield from _names(asset)
     yield from _base(asset)
     yield from _tool(asset, evidence)
     yield from _far_frames(asset)
+    yield from _gaps(asset, geometry)
 
 
 def _names(asset: Asset) -> Iterator[Finding]:
@@ -98,4 +100,39 @@ def _far_frames(asset: Asset) -> Iterator[Finding]:
                 f"link '{name}'",
                 float(away),
                 expected=f"a distance of a few times {usual:.3g} m",
+            )
+
+
+def _gaps(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
+    """Yield findings of links whose shape is farther from their carrier's than both are large.
+
+    The carrier is the next link towards the base that has a shape.
+    """
+    if asset.kind == "mjcf":
+        # A scene's bodies stand apart.
+        return
+    boxes: dict[str, tuple[Vector, Vector]] = {}
+    for name, (position, rotation) in asset.drawn.items():
+        solids = (geometry.body(name, role) for role in ("visual", "collision"))
+        points = [solid.points for solid in solids if solid is not None]
+        if points:
+            placed = np.vstack(points) @ rotation.T + position
+            boxes[name] = placed.min(axis=0), placed.max(axis=0)
+    carriers: dict[str, str | None] = dict.fromkeys(asset.roots)
+    for edge in asset.in_order():
+        carrier = edge.parent if edge.parent in boxes else carriers[edge.parent]
+        carriers[edge.child] = carrier
+        if carrier is None or edge.child not in boxes:
+            continue
+        (low, high), (lower, upper) = boxes[carrier], boxes[edge.child]
+        gap = float(np.linalg.norm(np.maximum(np.maximum(low - upper, lower - high), 0.0)))
+        size = max(float(np.linalg.norm(high - low)), float(np.linalg.norm(upper - lower)))
+        if gap > size:
+            yield finding_of(
+                "frames.gap",
+                edge.place,
+                f"link '{edge.child}'",
+                gap,
+                title=f"a gap separates its shape from that of link '{carrier}', which carries it",
+                expected=f"less than {size:.3g} m, the size of the larger one",
             )

@@ -16,6 +16,13 @@ _DENSITY = (20.0, 12_000.0)
 """kg/m^3: plausible range of mass over hull volume, from a hollow cover to solid lead."""
 _FACTOR = 30.0
 """Ratio of stated to geometric moments beyond which one of the two is reported as wrong."""
+_SPREAD = 1.5
+"""Ratio of a stated second moment to the largest possible one, beyond which it is reported. Of 68
+public robots, those above it have placeholders or inertias of other parts."""
+_OFF_CENTRE = 0.3
+"""Fraction of a shape's size between its centroid and a centre of mass at the origin."""
+_LIGHT = 1e-3
+"""Fraction of the robot's mass below which a body's centre of mass does not matter."""
 
 
 def principal(inertia: Vector) -> Vector:
@@ -26,6 +33,7 @@ def principal(inertia: Vector) -> Vector:
 def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
     """Yield faults of masses and inertias."""
     seen: dict[tuple[float, ...], Body] = {}
+    total = sum(body.mass or 0.0 for body in asset.body.values())
     for body in asset.body.values():
         if not _is_finite(body):
             yield _not_finite(body)
@@ -38,7 +46,9 @@ def check(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
             yield from _default(body)
             yield from _copied_inertia(body, seen, geometry)
             if solid is not None and solid.size > 0:
-                yield from _compare_with_hull(body, body.mass, body.inertia, solid)
+                points = _points(body, geometry)
+                yield from _compare_with_hull(body, body.mass, body.inertia, solid, points)
+                yield from _at_origin(body, body.mass, solid, total)
         elif body.mass is None and body.inertial is not None and body.inertia is not None:
             yield finding_of("inertia.no_mass", body.inertial, _element(body))
     yield from _massless_moving_bodies(asset, geometry)
@@ -204,8 +214,20 @@ def _copied_inertia(
     )
 
 
-def _compare_with_hull(body: Body, mass: float, inertia: Vector, solid: Solid) -> Iterator[Finding]:
-    """Yield findings from the comparison with the convex hull of its shapes at uniform density."""
+def _points(body: Body, geometry: Geometry) -> Vector:
+    """Return the (n, 3) vertices of a body's visual and collision shapes, m."""
+    solids = (geometry.body(body.name, role) for role in ("visual", "collision"))
+    return np.vstack([solid.points for solid in solids if solid is not None])
+
+
+def _compare_with_hull(
+    body: Body, mass: float, inertia: Vector, solid: Solid, points: Vector
+) -> Iterator[Finding]:
+    """Yield findings from the comparison with the convex hull of its shapes at uniform density.
+
+    Args:
+        points: (n, 3) vertices of all its shapes, m.
+    """
     element = _element(body)
     outside = solid.outside(body.com)
     if outside > 0.1 * solid.size:
@@ -270,6 +292,42 @@ def _compare_with_hull(body: Body, mass: float, inertia: Vector, solid: Solid) -
             expected=f"half the trace near {uniform:.3g} kg*m^2",
         )
 
+    elif (spread := _spread(mass, inertia, points)) > _SPREAD:
+        yield finding_of(
+            "inertia.spread",
+            body.inertial,
+            element,
+            float(np.sqrt(spread)),
+            title="along one direction its mass is spread "
+            f"{np.sqrt(spread):.2g} times as wide as its shape allows",
+        )
+
+
+def _spread(mass: float, inertia: Vector, points: Vector) -> float:
+    """Return the largest ratio of a second moment of mass to the largest within ``points`` (n, 3).
+
+    Along a direction, the variance of anything between two planes at a distance d is at most
+    d^2 / 4 (Popoviciu); the second moments are tr(I) / 2 - I_k, along the principal axes.
+    """
+    moments, axes = np.linalg.eigh((inertia + inertia.T) / 2)
+    widths = np.ptp(points @ axes, axis=0)
+    return float(np.max((moments.sum() / 2 - moments) / (mass * widths**2 / 4)))
+
+
+def _at_origin(body: Body, mass: float, solid: Solid, total: float) -> Iterator[Finding]:
+    away = float(np.linalg.norm(solid.centroid))
+    if body.com.any() or mass < _LIGHT * total or away < _OFF_CENTRE * solid.size:
+        return
+    yield finding_of(
+        "inertia.com_at_origin",
+        body.inertial,
+        _element(body),
+        away,
+        expected="a point near the middle of its shape, "
+        + " ".join(f"{value:.3g}" for value in solid.centroid)
+        + " m",
+    )
+
 
 def _is_about_origin(stated: Vector, shifted_back: Vector, uniform: Vector, shift: Vector) -> bool:
     """Whether the inertia fits its shape only after a shift to the centre of mass."""
@@ -307,6 +365,8 @@ def _massless_moving_bodies(asset: Asset, geometry: Geometry) -> Iterator[Findin
         body = asset.body[top]
         place = body.inertial or body.place
         joint = asset.joints_of[top][0]
+        if mass > MASS_FLOOR and not body.mass and geometry.body(top) is not None:
+            yield finding_of("inertia.shape_without_mass", place, _element(body), 0.0)
         if mass > MASS_FLOOR and principal(inertia)[0] > 1e-9 * float(np.trace(inertia)):
             continue
         shaped = any(asset.shapes_of(b.name) for b in bodies)

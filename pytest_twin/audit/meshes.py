@@ -21,6 +21,9 @@ _MANY_FACES = 20_000
 """Triangles of one collision mesh, above which loading and contact become slow."""
 _HOLLOW = 1.5
 """Hull volume over mesh volume above which the hull fills holes or notches that matter."""
+_UNLIKE = 4.0
+"""Ratio of the sizes of a link's two shapes beyond which contact is not where it seems; between
+centimetres and metres or inches and centimetres, and coarse boxes."""
 _REACH = "the robot's reach"
 _OTHER = "the link's other shape"
 _GYRATION = "the size that the link's inertia implies"
@@ -264,6 +267,25 @@ def _roles(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
         off = float(np.linalg.norm(seen.centroid - felt.centroid))
         if off > max(seen.size, felt.size):
             yield finding_of("meshes.roles_apart", body.place, f"link '{name}'", off)
+            continue
+        ratio = felt.size / seen.size
+        common = np.minimum(seen.upper, felt.upper) - np.maximum(seen.lower, felt.lower)
+        if not 1 / _UNLIKE < ratio < _UNLIKE:
+            yield finding_of(
+                "meshes.roles_differ",
+                body.place,
+                f"link '{name}'",
+                ratio,
+                title=f"its collision shape is {ratio:.3g} times as large as its visual shape",
+            )
+        elif common.min() < 0.0:
+            yield finding_of(
+                "meshes.roles_differ",
+                body.place,
+                f"link '{name}'",
+                0.0,
+                title="its collision shape and its visual shape do not overlap",
+            )
 
 
 def _masked(asset: Asset) -> Iterator[Finding]:

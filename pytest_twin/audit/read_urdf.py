@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ from pytest_twin.audit.asset import (
     Joint,
     JointKind,
     Mimic,
+    Placement,
     Sensor,
     Shape,
     Transmission,
@@ -122,6 +124,7 @@ class _Reader:
         inertial = node.find("inertial")
         body = Body(name, place, inertial=None if inertial is None else _place(inertial))
         if inertial is not None:
+            self._placement(inertial, f"inertial of link '{name}'")
             try:
                 link = self.compiler.corrected(urdf.link_of(node))
             except (ModelError, FormatError) as error:
@@ -157,6 +160,7 @@ class _Reader:
         if len(kinds) != 1:
             raise node.error(f"{len(kinds)} shapes in one geometry", expected="one")
         position, rotation = urdf.origin(node)
+        self._placement(node, f"{role} of link '{link}'")
         found = kinds[0]
         size: tuple[float, ...]
         scale = np.ones(3)
@@ -184,6 +188,14 @@ class _Reader:
             tuple(float(value) for value in size),
             scale=scale,
         )
+
+    def _placement(self, node: Node, element: str) -> None:
+        origin = node.find("origin")
+        if origin is None or "rpy" not in origin.attributes:
+            return
+        with contextlib.suppress(ModelError):  # reported with the element that it places
+            rpy = origin.numbers("rpy", (0.0, 0.0, 0.0))
+            self.out.placements.append(Placement(_place(origin), element, rpy))
 
     def _mesh(self, shape: Shape, node: Node, element: str) -> None:
         try:

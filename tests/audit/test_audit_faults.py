@@ -405,6 +405,161 @@ FAULTS = [
         None,
     ),
     (
+        "an inertia in other axes",
+        # Rotated by a right angle about y: the bar is then long along z.
+        [(UPPER_INERTIA, '<inertia ixx="0.0156" iyy="0.0156" izz="0.0012"/>')],
+        "inertia.spread",
+        "warning",
+        "link 'upper'",
+        "<inertial>",
+    ),
+    (
+        "an inertial frame in degrees",
+        [
+            (
+                '<origin xyz="0.15 0 0"/>\n      <mass',
+                '<origin xyz="0.15 0 0" rpy="0 90 0"/>\n      <mass',
+            )
+        ],
+        "joints.origin_degrees",
+        "critical",
+        "inertial of link 'upper'",
+        'rpy="0 90 0"',
+    ),
+    (
+        "a small angle in degrees",
+        [
+            (
+                '<collision>\n      <origin xyz="0.02 0 0"/>\n'
+                '      <geometry><box size="0.04 0.015 0.015"/>',
+                '<collision>\n      <origin xyz="0.02 0 0" rpy="0 5 0"/>\n'
+                '      <geometry><box size="0.04 0.015 0.015"/>',
+            )
+        ],
+        "joints.origin_degrees",
+        "warning",
+        "collision of link 'finger'",
+        'rpy="0 5 0"',
+    ),
+    (
+        "a centre of mass left at the origin",
+        [('<origin xyz="0.15 0 0"/>\n      <mass', '<origin xyz="0 0 0"/>\n      <mass')],
+        "inertia.com_at_origin",
+        "warning",
+        "link 'upper'",
+        "<inertial>",
+    ),
+    (
+        "a link whose mass is that of the part fixed to it",
+        [
+            (UPPER_INERTIAL, ""),
+            (
+                "</robot>",
+                f'  <link name="rotor">\n{UPPER_INERTIAL}  </link>\n'
+                '  <joint name="rotor_mount" type="fixed">'
+                '<parent link="upper"/><child link="rotor"/></joint>\n</robot>',
+            ),
+        ],
+        "inertia.shape_without_mass",
+        "warning",
+        "link 'upper'",
+        '<link name="upper">',
+    ),
+    (
+        "a small range in degrees",
+        [(ELBOW_LIMIT, '<limit lower="-10" upper="12" velocity="2" effort="20"/>')],
+        "joints.range_degrees",
+        "warning",
+        "joint 'elbow'",
+        None,
+    ),
+    (
+        "a small speed in degrees per second",
+        [(ELBOW_LIMIT, '<limit lower="-2" upper="2" velocity="60" effort="20"/>')],
+        "joints.velocity_units",
+        "warning",
+        "joint 'elbow'",
+        None,
+    ),
+    (
+        "the range of a revolute joint at a prismatic one",
+        [
+            (
+                '<limit lower="0" upper="0.02" velocity="0.1" effort="10"/>\n    '
+                '<dynamics damping="1" friction="0.5"/>\n  </joint>\n  <link name="thumb">',
+                '<limit lower="-1.57" upper="1.57" velocity="0.1" effort="10"/>\n    '
+                '<dynamics damping="1" friction="0.5"/>\n  </joint>\n  <link name="thumb">',
+            )
+        ],
+        "joints.range_millimetres",
+        "warning",
+        "joint 'grip'",
+        None,
+    ),
+    (
+        "an effort in N*mm",
+        [(ELBOW_LIMIT, '<limit lower="-2" upper="2" velocity="2" effort="20000"/>')],
+        "joints.effort_units",
+        "warning",
+        "joint 'elbow'",
+        None,
+    ),
+    (
+        "an effort in kN*m",
+        [('velocity="2" effort="50"', 'velocity="2" effort="0.05"')],
+        "joints.effort_too_small",
+        "warning",
+        "joint 'shoulder'",
+        None,
+    ),
+    (
+        "a damping in another unit",
+        [
+            (
+                'effort="50"/>\n    <dynamics damping="0.1" friction="0.2"/>',
+                'effort="50"/>\n    <dynamics damping="100" friction="0.2"/>',
+            )
+        ],
+        "joints.damping_above_effort",
+        "warning",
+        "joint 'shoulder'",
+        None,
+    ),
+    (
+        "an origin in centimetres",
+        [('<origin xyz="0.32 0 0" rpy="0 0 0"/>', '<origin xyz="32 0 0" rpy="0 0 0"/>')],
+        "frames.gap",
+        "warning",
+        "link 'lower'",
+        None,
+    ),
+    (
+        "a collision shape in inches",
+        [
+            (
+                '<collision><origin xyz="0.15 0 0"/><geometry><box size="0.3 0.06 0.06"/>',
+                '<collision><origin xyz="0.15 0 0"/><geometry><box size="7.62 1.52 1.52"/>',
+            )
+        ],
+        "meshes.roles_differ",
+        "warning",
+        "link 'upper'",
+        '<link name="upper">',
+    ),
+    (
+        "a collision shape beside the visual one",
+        [
+            (
+                '<collision><origin xyz="0.15 0 0"/><geometry><box size="0.3 0.06 0.06"/>',
+                '<collision><origin xyz="0.15 0.1 0"/><geometry><box size="0.3 0.06 0.06"/>',
+            )
+        ],
+        "meshes.roles_differ",
+        "warning",
+        "link 'upper'",
+        '<link name="upper">',
+    ),
+    (
         "a missing collision mesh",
         [('filename="bar.stl"', 'filename="bra.stl"')],
         "meshes.missing",
