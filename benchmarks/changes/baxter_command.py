@@ -100,8 +100,7 @@ def write_with(robot: Robot, i: int, amplitudes: np.ndarray, source: Path, out: 
     """Write a recording with the efforts of a law added."""
     header = source.read_text().split("\n", 1)[0].split(",")
     table = np.loadtxt(source, delimiter=",", skiprows=1)
-    added = robot.rows.effort_of(i, amplitudes)
-    stamps = robot.rows.parts[i].time
+    stamps, added = robot.recorded_effort_of(i, amplitudes)
     for j, joint in enumerate(robot.laws.joints):
         column = header.index(f"{joint}.effort")
         table[:, column] += np.interp(table[:, 0] - table[0, 0], stamps, added[:, j])

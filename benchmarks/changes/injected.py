@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.stats
@@ -21,6 +21,7 @@ from pytest_twin.changes.naming import best_possible
 from pytest_twin.changes.prepared import Prepared, prepare
 from pytest_twin.changes.recordings import at_one_rate
 from pytest_twin.changes.tool_load import with_tool_load
+from pytest_twin.identification.effort.filtering import Filter
 from pytest_twin.identification.effort.law_columns import EffortLaws, Shape
 from pytest_twin.identification.effort.laws_along import LawsAlong, band_of, rms_of
 from pytest_twin.identification.measured_recordings import MeasuredRecording
@@ -28,6 +29,8 @@ from pytest_twin.realization import Realization
 
 SIZES = (0.25, 0.5, 1.0, 2.0)
 NEW = 3
+BELOW_NYQUIST = 0.4
+"""Largest cutoff of a filter, relative to the sampling rate."""
 LEVEL = 0.05
 IDENTIFIED = (
     "inertial_parameters", "armature", "viscous_friction", "coulomb_friction", "effort_bias",
@@ -42,11 +45,14 @@ class Robot:
     """Rows of all recordings.
 
     Attributes:
+        along: the laws along recordings.
+        recordings: the recordings of the rows.
         shapes: every law at every joint, in every shape.
         residual: (joints,) RMS residual after an identification, N*m.
     """
 
-    laws: EffortLaws
+    along: LawsAlong
+    recordings: tuple[MeasuredRecording, ...]
     shapes: tuple[Shape, ...]
     rows: Rows
     residual: np.ndarray
@@ -55,6 +61,26 @@ class Robot:
     def count(self) -> int:
         """Number of recordings."""
         return len(self.rows.parts)
+
+    @property
+    def laws(self) -> EffortLaws:
+        """The laws that efforts show."""
+        return self.along.laws
+
+    def recorded_effort_of(self, i: int, amplitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stamps, and (n, joints) effort of amplitudes as a recording has it, N*m or N.
+
+        Only the motion is low-passed: the rows have laws whose effort was filtered, and filtered
+        twice a law would be a weaker one.
+        """
+        one = self.recordings[i]
+        unfiltered = Filter(self.along.chosen.cutoff, BELOW_NYQUIST * one.rate, one.rate)
+        (part,) = replace(self.along, chosen=unfiltered).rows([one])
+        efforts = [
+            matrix @ (self.rows.scale * amplitudes)[columns]
+            for matrix, columns in zip(part.matrix, part.columns, strict=True)
+        ]
+        return part.time, np.stack(efforts, axis=1)
 
 
 def robot_of(realization: Realization, recordings: Sequence[MeasuredRecording]) -> Robot:
@@ -65,7 +91,7 @@ def robot_of(realization: Realization, recordings: Sequence[MeasuredRecording]) 
     # A joint without a measured effort has no residual, so no case.
     parts, shapes, count = with_tool_load(along.laws, along.rows(every))
     rows = Rows.of(parts, np.where(effort > 0.0, effort, 1.0), count)
-    return Robot(along.laws, shapes, rows, identified_residual(shapes, rows))
+    return Robot(along, tuple(every), shapes, rows, identified_residual(shapes, rows))
 
 
 def identified_residual(shapes: Sequence[Shape], rows: Rows) -> np.ndarray:

@@ -71,6 +71,16 @@ def is_unpredicted(changes: Sequence[Change], prepared: Prepared, size: FloatArr
     return any(unpredicted.any() if joint < 0 else unpredicted[joint] for joint in joints)
 
 
+def _is_named(named: Sequence[Change], changes: Sequence[Change]) -> bool:
+    """Whether the rest is most like a law that is named already, in another shape.
+
+    A law changes once; what it leaves in its own shape is no second change of it.
+    """
+    return not {change.shape.term for change in named}.isdisjoint(
+        change.shape.term for change in changes
+    )
+
+
 def _is_inaccuracy(
     rows: Rows,
     later: Sequence[int],
@@ -84,28 +94,34 @@ def _is_inaccuracy(
         accuracy: (joints,) share of an effort that laws leave.
     """
 
-    def effort(of: Sequence[Change]) -> FloatArray:
-        amplitudes = np.zeros(len(rows.scale))
-        for change in of:
-            amplitudes[change.shape.indices] += change.value
-        every = np.concatenate([rows.effort_of(i, amplitudes) for i in later])
-        return np.asarray(np.sqrt(np.mean(every**2, axis=0)))
-
-    return bool(np.all(effort(named) <= accuracy * effort(changes)))
+    own, of_all = (_rms_effort(rows, later, each) for each in (named, changes))
+    return bool(np.all(own <= accuracy * of_all))
 
 
-def _explained_share(rows: Rows, change: Change, left: FloatArray, added: FloatArray) -> float:
-    """Share of the additional residual that is gone, over the joints on which a change acts.
+def _rms_effort(rows: Rows, later: Sequence[int], changes: Sequence[Change]) -> FloatArray:
+    """(joints,) RMS effort of changes along later recordings, N*m or N."""
+    amplitudes = np.zeros(len(rows.scale))
+    for change in changes:
+        amplitudes[change.shape.indices] += change.value
+    every = np.concatenate([rows.effort_of(i, amplitudes) for i in later])
+    return np.asarray(np.sqrt(np.mean(every**2, axis=0)))
+
+
+def _explained_share(own: FloatArray, left: FloatArray, added: FloatArray) -> float:
+    """Share of the additional residual that is gone where a change acts.
 
     A law that leaves a significant rest is not the law that changed, or not the only one: only the
-    share that it explains supports its name.
+    share that it explains supports its name. A joint counts by the share of its additional residual
+    that the effort of the change has: what is new at a joint that the change hardly moves is no
+    evidence about it.
 
     Args:
+        own: (joints,) squared effort of the change.
         left, added: (joints,) significant additional squared residual after and before the changes.
     """
-    acts = np.array([bool(np.isin(change.shape.indices, s.columns).any()) for s in rows.sums[0]])
-    whole = float(added[acts].sum())
-    return 1.0 - min(float(left[acts].sum()) / whole, 1.0) if whole > 0.0 else 1.0
+    weight = np.minimum(own / np.maximum(added, np.finfo(float).tiny), 1.0)
+    whole = float(weight @ added)
+    return 1.0 - min(float(weight @ left) / whole, 1.0) if whole > 0.0 else 1.0
 
 
 def compare(
@@ -141,7 +157,10 @@ def compare(
         named = best_possible(naming, shapes, types, tempering, rows, background)
         if named[0].confidence < SURE_OF_NAME or is_unpredicted(named, prepared, rows.size):
             break
-        if changes and _is_inaccuracy(rows, new, named, changes, prepared.accuracy):
+        if changes and (
+            _is_named(named, changes)
+            or _is_inaccuracy(rows, new, named, changes, prepared.accuracy)
+        ):
             break
         for change in named:
             columns = change.shape.indices
@@ -155,7 +174,13 @@ def compare(
     after = rows.residual_rms(new, changed)
     left, added = prepared.rest(before, after)
     changes = [
-        replace(change, confidence=change.confidence * _explained_share(rows, change, left, added))
+        replace(
+            change,
+            confidence=change.confidence
+            * _explained_share(
+                (_rms_effort(rows, new, [change]) / prepared.expected) ** 2, left, added
+            ),
+        )
         for change in changes
     ]
     sure = tuple(change for change in changes if change.confidence >= SURE_OF_NAME)

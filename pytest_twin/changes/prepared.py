@@ -137,6 +137,16 @@ class Prepared:
         """(joints,) RMS residual of earlier sessions that are left out."""
         return np.asarray(np.sqrt(np.mean(self.left_out**2, axis=0)))
 
+    @property
+    def expected(self) -> FloatArray:
+        """(joints,) RMS residual of an unchanged robot along the later motion, above 0."""
+        return np.asarray(np.maximum(self.usual * self._wider, np.finfo(float).tiny))
+
+    @property
+    def _wider(self) -> FloatArray:
+        """(joints,) how much larger residuals may be along the later motion than usual."""
+        return np.asarray(np.sqrt(np.maximum(self.uncertainty, 1.0)))
+
     def rest(self, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(joints,) significant additional squared residual after and before the changes.
 
@@ -147,11 +157,9 @@ class Prepared:
         Args:
             before, after: (joints,) RMS residual of the later sessions without and with changes.
         """
-        wider = np.sqrt(np.maximum(self.uncertainty, 1.0))
-        usual = np.maximum(self.usual * wider, np.finfo(float).tiny)
-        bound = _upper_bound(self.left_out, TWO_SIDED) * wider
-        left = np.where(after > bound, (after / usual) ** 2 - 1.0, 0.0)
-        added = np.maximum((before / usual) ** 2 - 1.0, 0.0)
+        bound = _upper_bound(self.left_out, TWO_SIDED) * self._wider
+        left = np.where(after > bound, (after / self.expected) ** 2 - 1.0, 0.0)
+        added = np.maximum((before / self.expected) ** 2 - 1.0, 0.0)
         return np.maximum(left, 0.0), added
 
     def threshold(self, level: float) -> float:
