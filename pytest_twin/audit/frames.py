@@ -108,9 +108,6 @@ def _gaps(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
 
     The carrier is the next link towards the base that has a shape.
     """
-    if asset.kind == "mjcf":
-        # A scene's bodies stand apart.
-        return
     boxes: dict[str, tuple[Vector, Vector]] = {}
     for name, (position, rotation) in asset.drawn.items():
         solids = (geometry.body(name, role) for role in ("visual", "collision"))
@@ -122,7 +119,8 @@ def _gaps(asset: Asset, geometry: Geometry) -> Iterator[Finding]:
     for edge in asset.in_order():
         carrier = edge.parent if edge.parent in boxes else carriers[edge.parent]
         carriers[edge.child] = carrier
-        if carrier is None or edge.child not in boxes:
+        if carrier is None or edge.child not in boxes or carrier in asset.roots:
+            # Bodies of a scene stand apart from its floor.
             continue
         (low, high), (lower, upper) = boxes[carrier], boxes[edge.child]
         gap = float(np.linalg.norm(np.maximum(np.maximum(low - upper, lower - high), 0.0)))

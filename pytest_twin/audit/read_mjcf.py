@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from pytest_twin.audit import simulation
 from pytest_twin.audit.asset import (
     Actuator,
     Asset,
@@ -255,6 +256,7 @@ class _Compiled:
         self._actuators()
         self._rest()
         self._angles()
+        self.out.faults += simulation.check(self.model, self.place, self.name)
         self.out.constrained = _constrained(self.model)
 
     def _bodies(self) -> None:
@@ -287,6 +289,19 @@ class _Compiled:
                         _matrix(model.body_quat[index]),
                     )
                 )
+        stated = [body for body in self.spec.bodies if body.explicitinertial]
+        if stated and self.spec.compiler.inertiafromgeom == int(
+            mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        ):
+            self.out.faults.append(
+                finding_of(
+                    "inertia.replaced",
+                    self.out.place,
+                    f"robot '{self.out.name}'",
+                    title=f"inertiafromgeom replaces the stated inertia of {len(stated)} bodies "
+                    "by that of their shapes",
+                )
+            )
         if self.spec.compiler.balanceinertia:
             self.out.faults.append(
                 finding_of("inertia.balanced", self.out.place, f"robot '{self.out.name}'")
