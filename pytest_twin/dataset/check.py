@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pytest_twin.dataset.camera import check_cameras
+from pytest_twin.dataset.episodes import compare_episodes, degrees_in_radians
 from pytest_twin.dataset.finding import Finding, Unknown
 from pytest_twin.dataset.following import Following, Motion, drift, follow, judge, unrelated
 from pytest_twin.dataset.frames import check_clock, hidden_losses
@@ -110,6 +111,7 @@ def check_dataset(
     period = _period(dataset, recordings)
     motions = _motions(recordings)
     numbers = [_number(one) for one in recordings]
+    findings += _not_finite(recordings)
     structure = None if robot is None else _structure(robot)
     findings += _trial_findings(recordings, structure, verdict, unknown)
     arm = [motion for name, motion in motions.items() if not is_gripper(name)]
@@ -122,7 +124,10 @@ def check_dataset(
     lost, no_relation = unrelated(motions, joints, period)
     compared, doubtful = judge(joints, period, in_unit)
     findings += [*lost, *compared, *drift(joints, numbers, in_unit)]
-    unknown += [*no_relation, *doubtful]
+    reported = {(one.joint, number) for one in findings for number in one.episodes}
+    unlike, elsewhere = compare_episodes(motions, joints, numbers, period, in_unit, reported)
+    findings += [*unlike, *degrees_in_radians(motions, verdict.unit.name)]
+    unknown += [*no_relation, *doubtful, *elsewhere]
     findings += _beyond_calibration(dataset, verdict, motions)
     videos, camera_findings, camera_unknown = _cameras(dataset, recordings)
     findings += camera_findings
@@ -239,6 +244,30 @@ def _motions(recordings: Sequence[Recording]) -> dict[str, Motion]:
         if all(np.isfinite(one).all() for one in (*motion.state, *motion.action)):
             found[name] = motion
     return found
+
+
+def _not_finite(recordings: Sequence[Recording]) -> list[Finding]:
+    """Return joints with positions that are not numbers; no comparison contains them."""
+    episodes: dict[str, list[int]] = {}
+    for one in recordings:
+        for series in (one.series[role] for role in TOPICS):
+            if series.position is None:
+                continue
+            lacking = np.any(~np.isfinite(np.asarray(series.position)), axis=0).tolist()
+            for name, lacks in zip(series.names, lacking, strict=True):
+                if lacks and _number(one) not in episodes.setdefault(name, []):
+                    episodes[name].append(_number(one))
+    return [
+        Finding(
+            "not_finite",
+            "positions that are not numbers; the joint is left out of all comparisons",
+            "read errors of the servo bus; remove these frames",
+            name,
+            tuple(numbers),
+        )
+        for name, numbers in episodes.items()
+        if numbers
+    ]
 
 
 def _structure(robot: str) -> Structure:

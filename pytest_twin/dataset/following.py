@@ -39,6 +39,8 @@ _STEP, _STEP_NOISE = math.radians(3.0), 4.0
 """rad, and multiples of the scatter, of a step of the offset between two episodes."""
 _FEWEST = 3
 """Episodes on either side of a step."""
+_EXACT = 1e-9
+"""rad. States that are their actions scatter by less, from rounding alone."""
 _TRIMMED = 2.5
 """Standard deviations beyond which a sample, such as one in contact, does not count."""
 
@@ -91,10 +93,10 @@ def follow(motion: Motion, period: float) -> Following:
     frames = 0.0
     if max(asked, moved) > _MOVES:
         frames, correlation = _best_lag(motion, period)
-        state, action = _aligned(motion, frames)
+        state, action = aligned(motion, frames)
         if abs(correlation) >= _FOLLOWS:
             lag, gain = frames * period, _slope(action, state)
-    pairs = [_aligned(Motion([s], [a]), frames) for s, a in _pairs(motion)]
+    pairs = [aligned(Motion([s], [a]), frames) for s, a in _pairs(motion)]
     by_episode = np.array([float(np.median(state - action)) for state, action in pairs])
     apart = np.concatenate([state - action for state, action in pairs])
     offset = float(np.median(apart))
@@ -108,8 +110,8 @@ def _pairs(motion: Motion) -> Iterator[tuple[FloatArray, FloatArray]]:
     return zip(motion.state, motion.action, strict=True)
 
 
-def _aligned(motion: Motion, frames: float) -> tuple[FloatArray, FloatArray]:
-    """States, and actions this many frames earlier."""
+def aligned(motion: Motion, frames: float) -> tuple[FloatArray, FloatArray]:
+    """Return all states, and the actions this many frames earlier, rad."""
     states, actions = [], []
     for state, action in _pairs(motion):
         at = np.arange(len(state)) - frames
@@ -126,7 +128,7 @@ def _best_lag(motion: Motion, period: float) -> tuple[float, float]:
     shortest = min(len(state) for state in motion.state)
     longest = max(1, min(round(_LONGEST_LAG / period), shortest // 3))
     lags = np.arange(-min(_EARLIEST, shortest // 3), longest + 1)
-    values = np.array([_correlation(*_aligned(motion, float(lag))) for lag in lags])
+    values = np.array([_correlation(*aligned(motion, float(lag))) for lag in lags])
     at = int(np.argmax(np.abs(values)))
     fine = 0.0
     if 0 < at < len(lags) - 1:
@@ -152,7 +154,9 @@ def _slope(action: FloatArray, state: FloatArray) -> float:
         slope, height = np.polyfit(action[rows], state[rows], 1)
         apart = state - slope * action - height
         spread = float(np.std(apart[rows]))
-        rows = np.abs(apart) <= _TRIMMED * spread if spread > 0.0 else rows
+        if spread <= _EXACT:
+            break
+        rows = np.abs(apart) <= _TRIMMED * spread
     return float(slope)
 
 

@@ -131,6 +131,136 @@ def test_a_fault_of_a_joint_is_found(
     assert found(document) == expected
 
 
+def in_episode_5(edit: Callable[[Episode], None]) -> Callable[[int, Episode], None]:
+    """Edit a single episode, among eleven sound ones."""
+
+    def change(number: int, episode: Episode) -> None:
+        if number == 5:
+            edit(episode)
+
+    return change
+
+
+def reverse_elbow(episode: Episode) -> None:
+    episode["state"][:, 2] *= -1.0
+
+
+def move_elbow_zero(episode: Episode) -> None:
+    episode["state"][:, 2] += 17.0
+
+
+def slip_in_the_middle(episode: Episode) -> None:
+    episode["state"][100:, 2] += 17.0
+
+
+def lag_by_20_frames(episode: Episode) -> None:
+    episode["state"][20:, 2] = episode["state"][:-20, 2].copy()
+
+
+def widen(episode: Episode) -> None:
+    episode["state"][:, 2] *= 1.5
+
+
+def read_zeros(episode: Episode) -> None:
+    episode["state"][60:70, 2] = 0.0
+
+
+def freeze_the_leader(episode: Episode) -> None:
+    episode["action"][:, 2] = episode["action"][0, 2]
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        reverse_elbow,
+        move_elbow_zero,
+        slip_in_the_middle,
+        lag_by_20_frames,
+        widen,
+        read_zeros,
+        freeze_the_leader,
+    ],
+)
+def test_one_episode_unlike_the_others_is_found(
+    tmp_path: Path, edit: Callable[[Episode], None]
+) -> None:
+    _, document = check(write(tmp_path / "set", demonstrations(change=in_episode_5(edit))))
+    (one,) = [one for one in document["findings"] if one["code"] == "unlike_others"]
+    assert (one["joint"], one["episodes"]) == ("elbow_flex", [5])
+    assert {joint for _, joint in found(document)} == {"elbow_flex"}
+
+
+def drift_slowly(number: int, episode: Episode) -> None:
+    episode["state"][:, 2] += 0.5 * number
+
+
+def add_noise(number: int, episode: Episode) -> None:
+    episode["state"][:, 2] += np.random.default_rng(number).normal(0.0, 2.0, len(episode["time"]))
+
+
+def round_to_5_degrees(number: int, episode: Episode) -> None:
+    episode["state"][:, 2] = np.round(episode["state"][:, 2] / 5.0) * 5.0
+
+
+def lose_a_number(number: int, episode: Episode) -> None:
+    if number == 5:
+        episode["state"][50, 2] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (drift_slowly, "drift"),
+        (add_noise, "noise"),
+        (round_to_5_degrees, "resolution"),
+        (lose_a_number, "not_finite"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_a_fault_of_one_encoder_is_found(
+    tmp_path: Path, change: Callable[[int, Episode], None], code: str
+) -> None:
+    _, document = check(write(tmp_path / "set", demonstrations(change=change)))
+    assert found(document) == {(code, "elbow_flex")}
+
+
+def test_a_copied_episode_is_found(tmp_path: Path) -> None:
+    episodes = demonstrations()
+    episodes[6] = episodes[2]
+    _, document = check(write(tmp_path / "set", episodes))
+    (one,) = document["findings"]
+    assert (one["code"], one["episodes"]) == ("copied_episode", [6])
+    assert "episode 2" in one["text"]
+
+
+def test_radians_that_are_declared_as_degrees_are_found(tmp_path: Path) -> None:
+    def convert(number: int, episode: Episode) -> None:
+        for name in ("state", "action"):
+            episode[name] = np.radians(episode[name])
+
+    folder = write(tmp_path / "set", demonstrations(change=convert))
+    _, document = check(folder, "--units", "deg")
+    assert ("units", None) in found(document)
+
+
+def test_states_that_are_their_actions_are_found(tmp_path: Path) -> None:
+    def copy(number: int, episode: Episode) -> None:
+        episode["state"][:] = episode["action"]
+
+    _, document = check(write(tmp_path / "set", demonstrations(change=copy)))
+    assert {code for code, _ in found(document)} & {"copied", "unusable"}
+
+
+def test_joints_swapped_in_both_arms_are_a_question(tmp_path: Path) -> None:
+    def swap_both(number: int, episode: Episode) -> None:
+        if number >= 8:
+            for name in ("state", "action"):
+                episode[name][:, [1, 2]] = episode[name][:, [2, 1]]
+
+    _, document = check(write(tmp_path / "set", demonstrations(change=swap_both)))
+    assert "start elsewhere from episode 8" in unknown(document)
+
+
 def test_states_before_their_actions_are_found(tmp_path: Path) -> None:
     _, document = check(write(tmp_path / "set", demonstrations(change=shift_early)))
     assert {code for code, _ in found(document)} == {"lag"}

@@ -33,8 +33,8 @@ def test_images_are_those_of_their_episode_within_a_common_file() -> None:
 def test_the_lag_and_the_moved_camera_are_found(tmp_path: Path) -> None:
     assert main(["check-dataset", str(DATASET), "--out", str(tmp_path)]) == 1
     report = json.loads((tmp_path / "check-dataset.json").read_text())
-    (finding,) = report["findings"]
-    assert finding["code"] == "camera_moved"
-    assert finding["episodes"] == [2]
+    found = {one["code"]: one["episodes"] for one in report["findings"]}
+    # All episodes of this recorded set have the same motion, under other images.
+    assert found == {"camera_moved": [2], "copied_episode": [1, 2]}
     lags = [joint["lag"]["value"] for joint in report["joints"].values()]
     np.testing.assert_allclose(lags, 2 / 30, atol=0.002)
