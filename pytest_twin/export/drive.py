@@ -16,9 +16,9 @@ from pytest_twin.realization.engine import HAS_CONTROL_INPUTS, SETPOINT_BITS, se
 from pytest_twin.trial import CommandMode
 
 _BITS = dict(SETPOINT_BITS)
-_SMALL_CONSTANT = 1e-6
+SMALL_CONSTANT = 1e-6
 """Motor constant of a ``dcmotor`` without a torque-speed limit, N*m/A and V*s/rad: its back-EMF is
-far below the voltage that one N*m needs here, 1 V."""
+far below the voltage that one N*m needs here, 1 V. MuJoCo 3.17 refuses 0."""
 
 
 @dataclass(slots=True)
@@ -85,7 +85,7 @@ def write_drive(
         return None
     most = float(force_range[1]) if is_limited else math.inf
     voltage = 0.0
-    motor_constant, resistance = _SMALL_CONSTANT, _SMALL_CONSTANT
+    motor_constant, resistance = SMALL_CONSTANT, SMALL_CONSTANT
     if law.no_load_speed > 0.0:
         # K = V / no-load speed, stall = K V / R; the voltage itself is free.
         voltage = law.stall

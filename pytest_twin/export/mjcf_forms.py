@@ -17,7 +17,7 @@ from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.effects.layout import Layout
 from pytest_twin.effects.transmission import Backlash, JointCoupling, JointElasticity, JointSpring
 from pytest_twin.estimation.hypothesis import Term
-from pytest_twin.export.drive import DriveLaw, write_drive
+from pytest_twin.export.drive import SMALL_CONSTANT, DriveLaw, write_drive
 from pytest_twin.export.expression import Expression
 from pytest_twin.export.losses import LOSSES
 from pytest_twin.export.motor_side import MotorJoint, Transmission, add_motor_side
@@ -217,7 +217,7 @@ class MjcfExporter:
         actuator = self.spec.add_actuator(name=name, target=joint)
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         actuator.set_to_dcmotor(
-            motorconst=[0.0, 0.0], resistance=1.0,
+            motorconst=[SMALL_CONSTANT, SMALL_CONSTANT], resistance=1.0,
             cogging=list(cogging) or [0.0] * 3, lugre=list(lugre) or [0.0] * 5,
             ctrlspec=NO_INPUT,
         )  # fmt: skip
