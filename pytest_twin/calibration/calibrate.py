@@ -34,6 +34,7 @@ from pytest_twin.calibration.observability import (
 from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
+from pytest_twin.calibration.pose_errors import PoseErrors, with_pose_errors
 from pytest_twin.calibration.problem import CalibrationProblem, make_problem, reported_flange
 from pytest_twin.calibration.reach_hypotheses import hypotheses_in_words, reach_hypotheses
 from pytest_twin.calibration.recordings.gather import GatheredObservations, gather
@@ -64,6 +65,9 @@ from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 from pytest_twin.time_limit import is_over, limited
 
+MOST_OUTLIERS = 0.25
+"""Fraction of the fitted measurements that may be left out of an accepted calibration."""
+
 GROSS_RATIO = 6.0
 """A held-out observation is excluded only if its error exceeds that of the best third of the
 held-out ones by this factor. A target that was not detected correctly does not test the
@@ -81,6 +85,7 @@ class Solution:
         sources: error source -> standard deviation, m or rad; empty if the sources cannot be
             distinguished.
         compliance: bending of the arm under gravity, if the residuals show it.
+        pose_errors: errors that repeat with the pose, if the residuals show them.
     """
 
     estimate: CalibrationEstimate
@@ -88,11 +93,13 @@ class Solution:
     candidates: Mapping[str, State]
     sources: Mapping[str, float]
     compliance: Compliance | None = None
+    pose_errors: tuple[PoseErrors, ...] = ()
 
     @property
     def notes(self) -> list[str]:
         """What the user has to know of the solution."""
-        return [] if self.compliance is None else [self.compliance.words]
+        bent = [] if self.compliance is None else [self.compliance.words]
+        return [*bent, *(one.words for one in self.pose_errors)]
 
 
 def calibrate_file(
@@ -291,6 +298,7 @@ def calibrate(
     document["suspected"] = [one.to_json() for one in suspected]
     reasons = [
         *(f"{one.what}; {one.mend}" for one in suspected),
+        *(() if suspected else _many_outliers(fit)),
         *acceptance_failures(
             errors.summary() if errors.ids else solved.estimate.leave_one_out, asdict(plan.accept)
         ),
@@ -306,6 +314,12 @@ def calibrate(
         ]
     if change is not None and change.may_be_arm:
         notes.append(change.note)
+    if problem.chain is None and observations.flange is not None:
+        notes.append(
+            "flange.* are taken as they are: no interval contains an error of the controller's "
+            "joint zeros or links that the residuals do not show; to find it, give robot: with "
+            "columns joint.NAME and estimate joint_zeros"
+        )
     # Poses that determine nothing compare no solvers.
     if better is not None and not degenerate:
         is_reason = better.is_beyond_chance and not suspected
@@ -351,8 +365,9 @@ def solve_problem(problem: CalibrationProblem) -> Solution:
         found = with_directions(found, uncertain_directions(fit, found.covariance, found.quantile))
     found, sources = weigh_by_source(found)
     found, compliance = with_compliance(found)
+    found, pose_errors = with_pose_errors(found)
     kept = {name: state for name, state in candidates.items() if not is_subset(name)}
-    return Solution(found, gauges, kept, sources, compliance)
+    return Solution(found, gauges, kept, sources, compliance, pose_errors)
 
 
 def _suspected(
@@ -405,6 +420,8 @@ def _fitted_json(solved: Solution, fitted: Errors) -> dict[str, Any]:
         found["error_sources"] = dict(solved.sources)
     if solved.compliance is not None:
         found["compliance"] = solved.compliance.to_json()
+    if solved.pose_errors:
+        found["pose_errors"] = [one.to_json() for one in solved.pose_errors]
     found["leave_one_out"] = dict(solved.estimate.leave_one_out)
     return found
 
@@ -457,6 +474,17 @@ def _outliers(fit: Fit) -> list[ExcludedMeasurement]:
                 )
             )
     return found
+
+
+def _many_outliers(fit: Fit) -> list[str]:
+    """Return the reason to reject a fit that leaves out a large part of the measurements."""
+    left_out = [int((~kept).sum()) for kept in fit.kept]
+    return [
+        f"{count} of {len(kept)} measurements of {term.name} do not agree with the others: what is "
+        "wrong with them may be wrong with all; see excluded"
+        for term, kept, count in zip(fit.problem.terms, fit.kept, left_out, strict=True)
+        if count > MOST_OUTLIERS * len(kept)
+    ]
 
 
 def _note_on_inverses(problem: CalibrationProblem, found: Mapping[str, Any]) -> list[str]:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.further_columns import free_columns, widened
 from pytest_twin.calibration.problem import CalibrationProblem, arms
 from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.solve import Fit, prior_rows, prior_values
@@ -21,11 +21,6 @@ from pytest_twin.realization.serial_chain import SerialChain
 
 _CHANCE = 1e-3
 """Significance level of the compliance."""
-_FEWEST_DEGREES = 20
-"""Residuals beyond the unknowns, with the compliances, from which these are tested."""
-_NEGLIGIBLE = 1e-9
-"""Singular values, relative to the largest, of directions that the residuals do not show."""
-
 _GRAVITY = 9.81
 """m/s^2."""
 
@@ -88,9 +83,7 @@ def with_compliance(
     if bent is None or bent.probability > _CHANCE:
         return found, None
     wider = np.outer(bent.shift, bent.shift) + bent.covariance
-    # Both matrices are covariances, so the larger variance of each unknown is kept.
-    larger = np.sqrt(np.maximum(np.diag(wider), np.diag(found.covariance)) / np.diag(wider))
-    return replace(found, covariance=wider * np.outer(larger, larger)), bent
+    return replace(found, covariance=widened(found.covariance, wider)), bent
 
 
 def _compliance(fit: Fit) -> Compliance | None:
@@ -104,62 +97,22 @@ def _compliance(fit: Fit) -> Compliance | None:
     residuals_of_fit = np.concatenate([residuals, prior_values(problem, fit.state)])
     priors = len(fit.jacobian) - len(residuals)
     bent = np.vstack([slopes, np.zeros((priors, slopes.shape[1]))])
-    probability, removes, step, rigid_step = _test(fit, fit.jacobian, bent, residuals_of_fit)
+    tested = free_columns(fit, fit.jacobian, bent, residuals_of_fit)
     count = fit.jacobian.shape[1]
-    free = np.hstack([fit.jacobian, bent])
-    left = np.sum((residuals_of_fit + free @ step) ** 2) / _degrees(fit, free)
-    bending = np.einsum("nc,c,ncx->nx", torques, step[count:], displaced)
+    bending = np.einsum("nc,c,ncx->nx", torques, tested.step[count:], displaced)
     more = len(wide) - len(residuals)
-    beyond = _test(
+    beyond = free_columns(
         fit, wide, np.vstack([slopes, np.zeros((more, slopes.shape[1]))]),
         np.concatenate([residuals, np.zeros(more)]),
     )  # fmt: skip
     return Compliance(
-        probability,
-        removes,
-        step[:count] - rigid_step,
-        left * np.linalg.pinv(free.T @ free, rcond=_NEGLIGIBLE)[:count, :count],
+        tested.probability,
+        tested.removes,
+        tested.shift,
+        tested.covariance,
         np.linalg.norm(bending, axis=1),
-        beyond[0] < _CHANCE,
+        beyond.probability < _CHANCE,
     )
-
-
-def _degrees(fit: Fit, slopes: FloatArray) -> int:
-    """Number of inlier residuals and priors beyond the rank of the derivatives."""
-    terms = zip(fit.problem.terms, fit.kept, strict=True)
-    outliers = sum(int((~kept).sum()) * len(term.noise) for term, kept in terms)
-    return len(slopes) - outliers - int(np.linalg.matrix_rank(slopes / _sizes(slopes)))
-
-
-def _test(
-    fit: Fit, slopes: FloatArray, more: FloatArray, residuals: FloatArray
-) -> tuple[float, float, FloatArray, FloatArray]:
-    """Probability that further columns explain as much by chance (F test), their share of the
-    squared residuals, and the steps with and without them."""
-    free = np.hstack([slopes, more])
-    step, rest_step = (_step(table, residuals) for table in (free, slopes))
-    left, rest = (
-        float(np.sum((residuals + table @ moved) ** 2))
-        for table, moved in ((free, step), (slopes, rest_step))
-    )
-    degrees, before = _degrees(fit, free), _degrees(fit, slopes)
-    probability = 1.0
-    if degrees >= _FEWEST_DEGREES and before > degrees and left > 0.0:
-        ratio = (rest - left) / (before - degrees) / (left / degrees)
-        probability = float(stats.f.sf(ratio, before - degrees, degrees))
-    return probability, 1.0 - left / rest if rest else 0.0, step, rest_step
-
-
-def _sizes(slopes: FloatArray) -> FloatArray:
-    sizes: FloatArray = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-    return sizes
-
-
-def _step(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Least-squares step of the unknowns."""
-    size = _sizes(slopes)
-    step: FloatArray = np.linalg.lstsq(slopes / size, -residuals, rcond=_NEGLIGIBLE)[0] / size
-    return step
 
 
 def _gravity(chain: SerialChain, values: FloatArray) -> tuple[list[int], FloatArray, FloatArray]:
