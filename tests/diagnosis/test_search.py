@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 from linear_physics import EFFECTS, FLOOR, LinearPhysics, drawn_physics, permuted
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.search.accept import accepts
 from pytest_twin.diagnosis.search.model import Model
 from pytest_twin.diagnosis.search.physics import Physics
@@ -192,6 +193,50 @@ def test_a_search_that_a_limit_ends_is_sure_if_noise_remains_and_all_rivals_were
     assert terms_of(found) == set(truth)
     # What remains may come from effects that a whole search would find.
     assert (min(posterior(found).confidence.values()) > 0.95) is is_sure
+
+
+@dataclass
+class EarlyPhysics(LinearPhysics):
+    """A robot whose first fit of a set of effects ends at the noise floor, above the noise."""
+
+    begun: set[frozenset[Term]] = field(default_factory=set)
+    others: list[Physics] = field(default_factory=list)
+
+    @property
+    def noise(self) -> FloatArray:
+        return 0.4 * self.floor
+
+    def fit(
+        self, hypothesis: Hypothesis, residual: FloatArray, iterations: int,
+        corrected_at: Hypothesis,
+    ) -> tuple[Hypothesis, FloatArray, FloatArray]:  # fmt: skip
+        found, left, jacobian = super().fit(hypothesis, residual, iterations, corrected_at)
+        terms = frozenset(found.terms)
+        if terms not in self.begun and terms:
+            self.begun.add(terms)
+            size = np.sqrt(np.mean(jacobian[..., 0] ** 2))
+            theta = found.theta.copy()
+            theta[0] += 0.7 * FLOOR / size
+            found = found.with_theta(theta)
+            left = self.measured - self.change(found)
+        return found, left, jacobian
+
+    def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
+        yield from self.others
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_fit_that_ended_early_is_no_reason_for_another_setting(seed: int) -> None:
+    drawn = drawn_physics(seed, truth=drawn_truth(seed, 2), noise=0.4)
+    own, other = (
+        EarlyPhysics(drawn.joints, drawn.measured, drawn.responses, drawn.lengths, drawn.recordings)
+        for _ in range(2)
+    )
+    own.others.append(other)
+    other.begun = own.begun
+    found = searched(own)
+    assert found.physics is own
+    assert terms_of(found) == set(drawn_truth(seed, 2))
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -290,13 +290,18 @@ class Search:
         if not effects or any(effects <= tried for tried in self._without_setting):
             return None
         self._without_setting.append(effects)
-        present, best, is_right = self.physics, incumbent, False
+        if self._is_noise(incumbent):
+            return None
+        # A fit ends at the floor. The other settings are fitted from there, and so is this one.
+        best, present, is_right = self._fit(incumbent), self.physics, False
+        if self._is_noise(best):
+            return best if best.score >= incumbent.score else None
         try:
             for _ in range(_SETTINGS_TOGETHER):
                 if self._is_noise(best):
                     break
                 best = self._in_nearest_setting(best)
-            is_right = best is not incumbent and self._is_noise(best)
+            is_right = self._is_noise(best)
         finally:
             if not is_right:
                 self.physics = present
@@ -623,19 +628,23 @@ class Search:
         """A model fitted by simulation, then with the corrections of its own parameters."""
         if model.is_fitted:
             return model
-        start, terms = model.hypothesis, frozenset(model.hypothesis.terms)
+        terms = frozenset(model.hypothesis.terms)
         known = self._fits.get(terms)
         # A start that is no better than a fit of the same effects leads to that fit again.
         if known is not None and known[0] is self.physics and known[1].score >= model.score:
             return known[1]
+        fitted = self._fit(model)
+        if known is None or known[0] is not self.physics or fitted.score > known[1].score:
+            self._fits[terms] = self.physics, fitted
+        return fitted
+
+    def _fit(self, model: Model) -> Model:
         hypothesis, residual, jacobian = self.physics.fit(
-            start, model.residual, self.settings.refinements, model.corrected_at
+            model.hypothesis, model.residual, self.settings.refinements, model.corrected_at
         )
         fitted = self._model(hypothesis, residual, model.origin, hypothesis)
         fitted = replace(fitted.with_jacobian(self.comparison, jacobian), is_fitted=True)
         self.pool.add(fitted)
-        if known is None or known[0] is not self.physics or fitted.score > known[1].score:
-            self._fits[terms] = self.physics, fitted
         return fitted
 
     def simulated(self, hypothesis: Hypothesis, origin: str = "earlier answer") -> Model:
