@@ -120,7 +120,8 @@ def _row(exporter: MjcfExporter, patched: PatchedModel, column: int, joint: str)
         for effect in patched.effects
         if effect.effect == friction.StribeckFriction.id and effect.joint == joint
     )
-    dry = float(model.dof_frictionloss[dof])
+    in_motion = sum(level for at, level in exporter.bristles.values() if at == joint)
+    dry = float(model.dof_frictionloss[dof]) + in_motion
     return DriveRow(
         joint, bool(layout.slides[column]), mode, stiffness, damping, limit,
         float(model.dof_armature[dof]), dry, float(model.dof_damping[dof]), dry + extra,

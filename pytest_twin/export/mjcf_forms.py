@@ -109,7 +109,8 @@ class MjcfExporter:
         self.readings: dict[str, Reading] = {}
         self.biases: dict[str, float] = {}
         self.cogging: list[tuple[str, float, int, float]] = []
-        self.bristles: list[str] = []
+        self.bristles: dict[str, tuple[str, float]] = {}
+        """Motor with bristles -> its joint, and the friction that it has in motion."""
         self._expressions: dict[tuple[str, str | None], Expression] = {}
         self._of_drive: dict[str, list[AppliedEffect]] = {}
         self._passive = 0
@@ -421,7 +422,7 @@ def _stribeck(x: MjcfExporter, effect: AppliedEffect, column: int) -> Form:
             stiffness, 0.0, remaining, remaining + excess, effect.values["stribeck_velocity"],
         ],
     )  # fmt: skip
-    x.bristles.append(name)
+    x.bristles[name] = effect.joint, remaining
     return Form(
         f"{native.written}; dcmotor '{name}' without input, lugre",
         "kept",

@@ -101,6 +101,16 @@ def test_isaac_lab_gets_gains_limits_friction_and_armature(
     assert right["friction"] == pytest.approx(0.1)
 
 
+def test_isaac_lab_gets_both_levels_of_stribeck_friction(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = {"coulomb": 0.05, "stiction_excess": 0.1, "stribeck_velocity": 0.1}
+    out, _ = exported(robot, tmp_path, "isaaclab", [("stribeck_friction", 1, law)])
+    right = actuators(out / "isaaclab_actuators.py", monkeypatch, 0.002)["right"]
+    assert right["dynamic_friction"] == pytest.approx(0.05)
+    assert right["friction"] == pytest.approx(0.15)
+
+
 def test_a_delay_is_whole_steps_of_the_time_step_that_is_used(
     robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
