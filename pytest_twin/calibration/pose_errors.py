@@ -53,9 +53,20 @@ class PoseErrors:
     def words(self) -> str:
         """What the residuals show, what was done, and what to do next."""
         return (
+            f"{self._shown}, so the intervals are widened by what it would change. Next: "
+            f"{self.mend}"
+        )
+
+    @property
+    def found_words(self) -> str:
+        """What the residuals show and what to do next, where no interval contains it."""
+        return f"{self._shown}, and no interval contains it. Next: {self.mend}"
+
+    @property
+    def _shown(self) -> str:
+        return (
             f"{self.cause} ({100 * self.removes:.0f} % of the squared residuals; by chance "
-            f"{self.probability:.1g}). This is no part of this calibration, so the intervals are "
-            f"widened by what it would change. Next: {self.mend}"
+            f"{self.probability:.1g}). This is no part of this calibration"
         )
 
     def to_json(self) -> dict[str, Any]:

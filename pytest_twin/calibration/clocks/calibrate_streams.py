@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.calibration.clocks.clock_step import clock_step
 from pytest_twin.calibration.clocks.correlation import (
     LEAST_CORRELATION,
     MOST_RIVAL,
@@ -173,6 +174,7 @@ def _solve(
             f"mounted otherwise than camera: {{mount: {plan.mount}}} says; the streams do not "
             "determine which"
         )
+    step = clock_step(hand, camera, seen, fit, middle)
     drift = _drift(drifting, fit, camera)
     sure = bool(abs(drifting.drift) > SURE_DRIFT * drifting.interval(1))
     drift["used"] = drift["value"] is not None and sure
@@ -206,11 +208,12 @@ def _solve(
     document["held_out"]["pattern"] = pattern_of(residuals_of(hand, camera, seen, fit, middle))
     document["scene"] = scene_of_streams(plan, hand, camera, seen, fit, middle, held_out)
     document["angular_speeds"] = angular_speeds(hand, camera, fit, middle, found.correlation)
-    suspected, change = mistakes_of_streams(plan, hand, camera, seen, fit, middle)
-    document["notes"] += [change] if change else []
+    suspected, notes = mistakes_of_streams(plan, hand, camera, seen, fit, middle)
+    document["notes"] += notes
     document["suspected"] = [one.to_json() for one in suspected]
     document["reasons"] = [
         *(f"{one.what}; {one.mend}" for one in suspected),
+        *([step] if step else []),
         *acceptance_failures(document["held_out"], asdict(plan.accept)),
     ]
     document["verdict"] = "rejected" if document["reasons"] else "accepted"

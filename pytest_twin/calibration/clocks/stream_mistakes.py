@@ -12,7 +12,9 @@ from pytest_twin.calibration.input_mistake import InputMistake
 from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
+from pytest_twin.calibration.pose_errors import with_pose_errors
 from pytest_twin.calibration.problem import make_problem
+from pytest_twin.calibration.records import estimate as estimated
 from pytest_twin.calibration.residual_errors import errors_of
 from pytest_twin.calibration.solve import robust_cost, solve
 from pytest_twin.calibration.starts import starts
@@ -36,12 +38,12 @@ def mistakes_of_streams(
     seen: FloatArray,
     fit: ClockFit,
     middle: float,
-) -> tuple[tuple[InputMistake, ...], str]:
+) -> tuple[tuple[InputMistake, ...], list[str]]:
     """Return mistakes that explain the streams far better, with the checks for poses on one clock.
 
-    The text is a change of the cell that errors of the arm would explain too; empty if there is
-    none. Without an offset the result is empty, because poses of different times cannot be
-    compared.
+    The notes have a change of the cell that errors of the arm would explain too, and errors that
+    repeat with the pose. Without an offset both are empty, because poses of different times cannot
+    be compared.
 
     Args:
         plan: plan with the accepted errors.
@@ -50,7 +52,7 @@ def mistakes_of_streams(
         middle: time of the camera's clock at which the offset holds, s.
     """
     if not fit.interval(0) < MOST_OFFSET_SPREAD_S:
-        return (), ""
+        return (), []
     rows, time = spread_rows(hand, camera, fit, middle, _POSES)
     carried = hand.at(time)
     observations = Observations(
@@ -62,7 +64,7 @@ def mistakes_of_streams(
     problem = make_problem(replace(plan, estimate=estimate), observations, None)
     candidates = starts(problem)
     if not candidates:
-        return (), ""
+        return (), []
     best = min(candidates.values(), key=lambda state: robust_cost(problem, state))
     found = solve(problem, best)
     change = changed_cell(problem, found)
@@ -73,11 +75,18 @@ def mistakes_of_streams(
     else:
         scale = wrong_scale(found)
         suspected = () if scale is None else (scale,)
+    notes = [change.note] if change is not None and change.may_be_arm else []
+    if not suspected:
+        for error in with_pose_errors(estimated(found, ()))[1]:
+            if error.kind == "depth":
+                suspected = (InputMistake(error.cause, error.mend, float("nan"), float("nan")),)
+            else:
+                notes.append(_words_of_streams(error.found_words))
     in_words = tuple(
         replace(one, what=_words_of_streams(one.what), mend=_words_of_streams(one.mend))
         for one in suspected
     )
-    return in_words, change.note if change is not None and change.may_be_arm else ""
+    return in_words, notes
 
 
 def _words_of_streams(words: str) -> str:

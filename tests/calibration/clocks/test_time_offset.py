@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,8 @@ def write_streams(
     other_motion=False,
     burst=None,
     sway=0.0,
+    step=0.0,
+    depth=1.0,
     mount="hand",
     size_tolerance=None,
 ) -> None:
@@ -89,6 +92,8 @@ def write_streams(
         # The camera is fixed at the pose TARGET; the target is on the hand at HAND_EYE.
         seen = inverse(TARGET) @ hand(true) @ HAND_EYE
     seen = apply_change(seen, noise * rng.normal(size=(len(stamps), 6)))
+    seen[:, 2, 3] *= depth
+    stamps = np.where(stamps > stamps.mean(), stamps + step, stamps)
     write_stream(folder / "camera.csv.gz", stamps, inverse(seen) if inverted else seen)
     plan = {
         "calibration": "clocks",
@@ -282,6 +287,24 @@ def test_a_drift_of_the_clocks_is_estimated_and_noted(tmp_path):
     drift = found["records"]["time_offset"]["drift"]
     assert drift["ci95"][0] < 1e-3 < drift["ci95"][1]
     assert any("the clocks drift apart" in note for note in found["notes"])
+
+
+@pytest.mark.parametrize("step", [0.015, 0.05, -0.02])
+def test_a_step_of_a_clock_is_rejected_with_its_time(tmp_path, step):
+    write_streams(tmp_path, step=step)
+    status, found = calibrated(tmp_path)
+    assert status == 1
+    (reason,) = [one for one in found["reasons"] if "ms at once" in one]
+    at, size = re.findall(r"near (\d+) s .* about (\d+) ms at once", reason)[0]
+    assert int(at) == pytest.approx(20, abs=2)
+    assert int(size) == pytest.approx(1e3 * abs(step), abs=5)
+
+
+def test_a_focal_length_that_is_wrong_by_2_percent_is_rejected_with_the_factor(tmp_path):
+    write_streams(tmp_path, depth=1.02, size_tolerance=0.05)
+    status, found = calibrated(tmp_path)
+    assert status == 1
+    assert any("depths of the camera's stream are 0.98" in one for one in found["reasons"])
 
 
 def test_an_unobservable_drift_of_the_clocks_has_no_value(tmp_path):
