@@ -298,9 +298,9 @@ class Search:
             return best if best.score >= incumbent.score else None
         try:
             for _ in range(_SETTINGS_TOGETHER):
-                if self._is_noise(best):
+                last, best = best, self._in_nearest_setting(best)
+                if best is last or self._is_noise(best):
                     break
-                best = self._in_nearest_setting(best)
             is_right = self._is_noise(best)
         finally:
             if not is_right:
@@ -308,19 +308,21 @@ class Search:
         return best if is_right else None
 
     def _in_nearest_setting(self, model: Model) -> Model:
-        """The effects of a model in the other setting that leaves least; without one, the model."""
-        own, fitted = self.physics, list[tuple[Model, Physics]]()
+        """The effects of a model in the setting that leaves least; the model if that is its own."""
+        own, tried = self.physics, list[tuple[Model, Physics]]()
         for physics in own.other_settings(model.hypothesis, is_explained=False):
             self.physics = physics
-            fitted.append((self._fitted(self.simulated(model.hypothesis, _SETTING)), physics))
-        self.physics = own
-        best, self.physics = min(
-            fitted, key=lambda pair: self._noise_ratio(pair[0]), default=(model, own)
-        )
+            tried.append((self.simulated(model.hypothesis, _SETTING), physics))
+        fitted = [(model, own)]
+        for each, self.physics in sorted(tried, key=self._noise_ratio)[:_FITTED_SETTINGS]:
+            fitted.append((self._fitted(each), self.physics))
+        best, self.physics = min(fitted, key=self._noise_ratio)
         return best
 
-    def _noise_ratio(self, model: Model) -> float:
-        return float((model.mean_square / self.physics.noise**2).sum())
+    @staticmethod
+    def _noise_ratio(of: tuple[Model, Physics]) -> float:
+        model, physics = of
+        return float((model.mean_square / physics.noise**2).sum())
 
     def _is_noise(self, model: Model) -> bool:
         limit = (INTEGRATOR.noise_alone * self.physics.noise) ** 2
