@@ -53,8 +53,8 @@ def clock_step(
     at = float(camera.time[0]) + (cut / count) * float(np.ptp(camera.time))
     return (
         f"near {at:.0f} s of the camera's stream the offset changes by about "
-        f"{1e3 * abs(step):.0f} ms at once: one of the clocks was set, or a stream lost samples; calibrate the parts before and "
-        "after apart"
+        f"{1e3 * abs(step):.0f} ms at once: one of the clocks was set, or a stream lost "
+        "samples; calibrate the parts before and after apart"
     )
 
 
