@@ -212,18 +212,31 @@ def _array_names(labels: list[str], count: int) -> list[str]:
     return [str(place) for place in range(count)]
 
 
+@dataclass(frozen=True)
 class JointTrajectory:
-    """``trajectory_msgs/msg/JointTrajectory``: setpoints at times after the message's time."""
+    """``trajectory_msgs/msg/JointTrajectory``: setpoints at times after the message's time.
+
+    Attributes:
+        in_goals: whether the messages are goals of ROS 1's ``FollowJointTrajectory`` action.
+    """
+
+    in_goals: bool = False
 
     def serialized(
         self, data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
     ) -> Iterator[Decoded]:
         """Decode many messages."""
-        return decode_trajectories(data, starts, sizes, encoding)
+        return decode_trajectories(data, starts, sizes, encoding, in_goals=self.in_goals)
 
     def from_json(self, message: bytes, row: int) -> Batch:
         """Decode one message."""
         found = object_of(message)
+        if self.in_goals:
+            goal = found.get("goal")
+            inner = goal.get("trajectory") if isinstance(goal, dict) else None
+            if not isinstance(inner, dict):
+                raise MessageError("goal.trajectory is not an object")
+            found = inner
         if not found.get("joint_names") and not found.get("points"):
             return trajectory_from_json(found | {"points": []}, [], row)
         return trajectory_from_json(found, names_of(found.get("joint_names"), "joint_names"), row)
@@ -231,7 +244,9 @@ class JointTrajectory:
 
 ANY_QUANTITY = frozenset({"std_msgs/msg/Float64MultiArray"})
 """Message types that do not state the quantity of their values."""
-TRAJECTORIES = frozenset({"trajectory_msgs/msg/JointTrajectory"})
+GOAL = "control_msgs/msg/FollowJointTrajectoryActionGoal"
+"""ROS 1's goal of the action that sends a trajectory."""
+TRAJECTORIES = frozenset({"trajectory_msgs/msg/JointTrajectory", GOAL})
 """Message types whose messages replace the remaining setpoints of the message before."""
 
 
@@ -255,6 +270,8 @@ def message_type(schema: str, role: str) -> MessageType | None:
             return Float64MultiArray()
         case "trajectory_msgs/msg/JointTrajectory" if role == "command":
             return JointTrajectory()
+        case other if other == GOAL and role == "command":
+            return JointTrajectory(in_goals=True)
     return None
 
 
@@ -273,5 +290,5 @@ def known_types(role: str) -> str:
         "control_msgs/msg/DynamicJointState",
     ]
     if role == "command":
-        names += ["std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"]
+        names += ["std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory", GOAL]
     return ", ".join(names)

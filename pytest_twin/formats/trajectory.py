@@ -1,4 +1,7 @@
-"""``trajectory_msgs/msg/JointTrajectory``: decode setpoints with times relative to the message."""
+"""``trajectory_msgs/msg/JointTrajectory``: decode setpoints with times relative to the message.
+
+The goals of ROS 1's ``FollowJointTrajectory`` action contain one.
+"""
 
 from __future__ import annotations
 
@@ -28,18 +31,26 @@ _FIELDS = {**POINT_FIELDS, "acceleration": "accelerations"}
 
 
 def decode_trajectories(
-    data: bytes, starts: Integers, sizes: Integers, encoding: Encoding
+    data: bytes, starts: Integers, sizes: Integers, encoding: Encoding, *, in_goals: bool = False
 ) -> Iterator[Decoded]:
-    """Decode messages one by one; each batch contains the points of one message."""
+    """Decode messages one by one; each batch contains the points of one message.
+
+    Args:
+        in_goals: whether the messages are ``control_msgs/FollowJointTrajectoryActionGoal``.
+    """
     for row, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
         try:
-            yield _decode(data[start : start + size], row, encoding)
+            yield _decode(data[start : start + size], row, encoding, in_goal=in_goals)
         except MessageError as error:
             yield row, error
 
 
-def _decode(message: bytes, row: int, encoding: Encoding) -> Batch:
+def _decode(message: bytes, row: int, encoding: Encoding, *, in_goal: bool) -> Batch:
     cursor = Cursor(message, encoding)
+    if in_goal:
+        cursor.header()
+        cursor.skip(8, "goal_id.stamp")
+        cursor.text("goal_id.id")
     stamp_at = cursor.header()
     names = cursor.names()
     count = cursor.count("points")
@@ -67,6 +78,12 @@ def _decode(message: bytes, row: int, encoding: Encoding) -> Batch:
                 for quantity, at in places.items()
             }
         )
+    if in_goal:
+        for tolerances in ("path_tolerance", "goal_tolerance"):
+            for _ in range(cursor.count(tolerances)):
+                cursor.text(f"{tolerances}.name")
+                cursor.skip(24, tolerances, 8)
+        cursor.skip(8, "goal_time_tolerance")
     cursor.end()
     sec, nanosec = np.frombuffer(message, cursor.order + "i4", 2, stamp_at).tolist()
     nanosec %= 2**32

@@ -117,5 +117,66 @@ def ros1_joint_state(stamp: int, names: Sequence[str], positions: Sequence[float
     return bytes(store.serialize_ros1(message, JOINT_STATE))
 
 
+def joint_state(stamp: int, names: Sequence[str], positions: Sequence[float]) -> bytes:
+    empty = np.array([], float)
+    message = _type(JOINT_STATE)(
+        header(stamp), list(names), np.array(positions, float), empty, empty
+    )
+    return bytes(NEW.serialize_cdr(message, JOINT_STATE))
+
+
+GOAL = "control_msgs/msg/FollowJointTrajectoryActionGoal"
+_TOLERANCE = "string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration\n"
+_FOLLOW = (
+    "trajectory_msgs/JointTrajectory trajectory\ncontrol_msgs/JointTolerance[] path_tolerance\n"
+    "control_msgs/JointTolerance[] goal_tolerance\nduration goal_time_tolerance\n"
+)
+_ACTION_GOAL = (
+    "std_msgs/Header header\nactionlib_msgs/GoalID goal_id\n"
+    "control_msgs/FollowJointTrajectoryGoal goal\n"
+)
+
+
+def ros1_trajectory(
+    stamp: int, names: Sequence[str], points: Sequence[Any], *, in_goal: bool, encoding: str
+) -> bytes:
+    """A ``JointTrajectory`` of ROS 1, whose header has a number, or the goal of its action.
+
+    Args:
+        encoding: ``ros1``, or ``cdr`` as ``rosbags-convert`` writes it, without the number.
+    """
+    old = encoding == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if old else Stores.ROS2_HUMBLE)
+    follow = _FOLLOW if old else _FOLLOW.replace("duration", "builtin_interfaces/Duration")
+    types = get_types_from_msg(_TOLERANCE, "control_msgs/msg/JointTolerance")
+    types |= get_types_from_msg(follow, "control_msgs/msg/FollowJointTrajectoryGoal")
+    types |= get_types_from_msg(_ACTION_GOAL, GOAL)
+    store.register(types)
+
+    def make(name: str, *fields: Any) -> Any:
+        return store.types[name](*fields)
+
+    def head(stamp: int) -> Any:
+        time = make("builtin_interfaces/msg/Time", *divmod(stamp, 1_000_000_000))
+        return make("std_msgs/msg/Header", *([7] if old else []), time, "base")
+
+    message, kind = make(TRAJECTORY, head(stamp), list(names), list(points)), TRAJECTORY
+    if in_goal:
+        tolerance = make("control_msgs/msg/JointTolerance", "a", 0.1, 0.2, 0.3)
+        late = make("builtin_interfaces/msg/Duration", 1, 0)
+        goal = make(
+            "control_msgs/msg/FollowJointTrajectoryGoal",
+            message,
+            [tolerance, tolerance],
+            [tolerance],
+            late,
+        )
+        identity = make(
+            "actionlib_msgs/msg/GoalID", make("builtin_interfaces/msg/Time", 1, 2), "/move-1"
+        )
+        message, kind = make(GOAL, head(5_000_000_006), identity, goal), GOAL
+    return bytes((store.serialize_ros1 if old else store.serialize_cdr)(message, kind))
+
+
 def as_json(**fields: Any) -> bytes:
     return json.dumps(fields).encode()

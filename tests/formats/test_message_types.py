@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from mcap_files import START, Message, cdr, put
 
-from pytest_twin.errors import RecordingError, TwinError
-from pytest_twin.formats.recording import Recording
+from pytest_twin.errors import FormatError, RecordingError, TwinError
+from pytest_twin.formats.recording import JointSeries, Recording
 from pytest_twin.formats.recordings import read_one
 
 NAN = np.nan
@@ -216,6 +216,46 @@ def test_joint_states_in_ros_1_encoding_are_read(tmp_path: Path) -> None:
     assert state.names == JOINTS
     assert state.stamp.tolist() == [START + k for k in range(4)]
     np.testing.assert_array_equal(state.position, [[k, 2 * k] for k in range(4)])
+
+
+@pytest.mark.parametrize("stamp", [START, 0])
+@pytest.mark.parametrize(("in_goal", "encoding"), [(False, "ros1"), (True, "ros1"), (True, "cdr")])
+def test_trajectories_of_ros_1_are_played_as_those_of_ros_2(
+    tmp_path: Path, in_goal: bool, encoding: str, stamp: int
+) -> None:
+    setpoints = [
+        ros.point([0.1, 0.2], [0.5, -0.5], after=100 * MS),
+        ros.point([0.3, 0.2], [0.0, 0.0], after=300 * MS),
+    ]
+    kind = ros.GOAL if in_goal else ros.TRAJECTORY
+    sent = ros.ros1_trajectory(stamp, JOINTS, setpoints, in_goal=in_goal, encoding=encoding)
+
+    def command(encoding: str, kind: str, message: bytes) -> JointSeries:
+        state = ros.ros1_joint_state if encoding == "ros1" else ros.joint_state
+        times = [START + k * MS for k in range(400)]
+        states = [("/js", ros.JOINT_STATE, at, state(at, JOINTS, [0.0, 0.0])) for at in times]
+        data = bag([*states, ("/c", kind, START + 5 * MS, message)], encoding)
+        return read(tmp_path, data, state="/js", command="/c").series["command"]
+
+    old = command(encoding, kind, sent)
+    new = command("cdr", ros.TRAJECTORY, ros.trajectory(stamp, JOINTS, setpoints))
+    assert old.from_trajectories
+    np.testing.assert_array_equal(old.stamp, new.stamp)
+    np.testing.assert_array_equal(old.position, new.position)
+    np.testing.assert_array_equal(old.velocity, new.velocity)
+    # Between its points the controller follows a cubic.
+    at = int(np.searchsorted(old.stamp, (stamp or START + 5 * MS) + 200 * MS))
+    assert old.position is not None
+    assert old.position[at, 0] == pytest.approx(0.2 + 0.2 * 0.5 / 8, abs=1e-3)
+
+
+def test_a_bag_of_ros_1_is_refused_with_the_command_that_converts_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    with pytest.raises(FormatError) as caught:
+        read_one(path)
+    assert "a bag of ROS 1, which is not read" in str(caught.value)
+    assert "rosbags-convert --src run.bag --dst run" in str(caught.value)
 
 
 STAMP = {"stamp": {"sec": START // 10**9, "nanosec": 5}}

@@ -24,6 +24,8 @@ from pytest_twin.words import list_names
 
 __all__ = ["Reader", "ReadingOptions", "read_one", "read_recordings", "reader_of", "readers"]
 
+_ROS1_BAG = b"#ROSBAG V"
+"""First bytes of a bag of ROS 1."""
 _GROUP = "pytest_twin.recordings"
 KINDS = (
     "an MCAP file, a rosbag2 folder, a .db3 file, a CSV file (.csv, .csv.gz), or the folder of a "
@@ -150,6 +152,13 @@ def reader_of(path: Path) -> Reader:
         if reader.reads(path):
             return reader
     refuse_stale_installation(entry_points(group=_GROUP), _GROUP)
+    if path.is_file() and _is_ros1_bag(path):
+        raise FormatError(
+            "a bag of ROS 1, which is not read",
+            path=path,
+            expected=f"pip install rosbags && rosbags-convert --src {path.name} --dst {path.stem}, "
+            f"and then {path.stem}",
+        )
     raise FormatError("no recording that can be read", path=path, expected=KINDS)
 
 
@@ -162,3 +171,8 @@ def readers() -> Sequence[Reader]:
     """
     points = sorted(entry_points(group=_GROUP), key=lambda point: (is_own(point), point.name))
     return tuple(load_plugin(point, "recording reader") for point in points)
+
+
+def _is_ros1_bag(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(_ROS1_BAG)) == _ROS1_BAG
