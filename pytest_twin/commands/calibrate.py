@@ -125,7 +125,7 @@ def calibrate_into(
             {"plan": str(plan.absolute()), "document": document, "folder": str(out.absolute())},
         )
         page = calibration.render(document, plan.absolute().parent)
-        text = json.dumps(document, indent=2) + "\n"
+        text = atomic.json_text(document)
         for name, content in {FILE_NAME: text, PAGE_NAME: page, **exports}.items():
             atomic.write_text(staging / name, results.as_placed(content, staging))
     placed: dict[str, Any] = json.loads(results.as_placed(text, staging))

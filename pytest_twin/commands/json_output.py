@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
@@ -55,7 +54,7 @@ def write(args: argparse.Namespace) -> None:
     target = getattr(args, "json", None)
     if target is None:
         return
-    text = json.dumps(args.result, indent=2) + "\n"
+    text = atomic.json_text(args.result)
     if target == STANDARD_OUTPUT:
         sys.stdout.write(text)
     else:

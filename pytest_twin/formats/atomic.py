@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import math
 import os
 import stat
 from collections.abc import Iterator
@@ -88,7 +89,25 @@ def write_json(path: Path, document: object) -> None:
     Raises:
         PathError: as :func:`open_replacement`.
     """
-    write_text(path, json.dumps(document, indent=2) + "\n")
+    write_text(path, json_text(document))
+
+
+def json_text(document: object) -> str:
+    """A document as indented JSON, in which a number that is not known or not finite is null.
+
+    JSON has no such numbers, and other readers refuse a file with NaN.
+    """
+    return json.dumps(_without_non_finite(document), indent=2, allow_nan=False) + "\n"
+
+
+def _without_non_finite(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _without_non_finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_non_finite(inner) for inner in value]
+    return value
 
 
 def write_text(path: Path, text: str) -> None:

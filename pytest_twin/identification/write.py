@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -75,7 +74,7 @@ def write_fitted(
     atomic.write_text(folder / MODEL_FILE, mjcf_file.with_exact_inertia(spec, model))
     effects = kept_effects(realization)
     if effects is not None:
-        text = json.dumps(effects_json(effects), indent=2) + "\n"
+        text = atomic.json_text(effects_json(effects))
         atomic.write_text(folder / EFFECTS_FILE, text)
     twin = realization.twin
     after = {joint: JointCalibration(**one.after) for joint, one in changes.encoders.items()}

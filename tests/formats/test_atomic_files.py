@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import stat
 import subprocess
@@ -20,6 +22,17 @@ def test_writing_a_file_leaves_no_temporary_files(tmp_path: Path) -> None:
     atomic.write_bytes(tmp_path / "a", b"new")
     assert (tmp_path / "a").read_bytes() == b"new"
     assert os.listdir(tmp_path) == ["a"]  # noqa: PTH208
+
+
+def test_an_unknown_number_is_null_because_other_readers_refuse_nan(tmp_path: Path) -> None:
+    document = {"ci95": [math.nan, -math.inf], "value": 1.5, "deep": [({"limit": math.inf},)]}
+    atomic.write_json(tmp_path / "a.json", document)
+
+    def refuse(name: str) -> None:
+        raise AssertionError(name)
+
+    read = json.loads((tmp_path / "a.json").read_text(), parse_constant=refuse)
+    assert read == {"ci95": [None, None], "value": 1.5, "deep": [[{"limit": None}]]}
 
 
 def test_a_replaced_file_keeps_its_mode_and_a_new_file_follows_the_umask(tmp_path: Path) -> None:

@@ -111,6 +111,7 @@ class PooledModel:
         is_simulated: whether its prediction was simulated, not linearized.
         difference: largest RMS difference of its prediction to that of the incumbent at that time,
             in noise floors; None if unknown.
+        score: cross-validated score; None without a Jacobian.
     """
 
     hypothesis: Hypothesis
@@ -118,6 +119,7 @@ class PooledModel:
     evidence: float
     is_simulated: bool = True
     difference: float | None = None
+    score: float | None = None
 
 
 @dataclass(slots=True)
@@ -133,6 +135,7 @@ class Pool:
     simulations: int = 0
     _simulated: dict[frozenset[object], PooledModel] = field(default_factory=dict)
     _residuals: dict[frozenset[object], NDArray[np.float32]] = field(default_factory=dict)
+    _scores: dict[frozenset[object], float] = field(default_factory=dict)
     _linearized: dict[frozenset[object], PooledModel] = field(default_factory=dict)
     _around: frozenset[object] = frozenset()
 
@@ -144,6 +147,8 @@ class Pool:
         evidence = evidence_of(self.comparison, model.mean_square, model.size)
         key = frozenset(model.hypothesis.terms)
         known = self._simulated.get(key)
+        if model.jacobian is not None:
+            self._scores[key] = max(model.score, self._scores.get(key, -np.inf))
         if known is None or evidence > known.evidence:
             self._simulated[key] = PooledModel(model.hypothesis, model.size, evidence)
             self._residuals[key] = model.residual.astype(np.float32)
@@ -185,7 +190,7 @@ class Pool:
             if key != own:
                 residual = self._residuals.get(key)
                 known = None if residual is None else self._difference(residual, incumbent)
-                yield replace(pooled, difference=known)
+                yield replace(pooled, difference=known, score=self._scores.get(key))
         for key, pooled in self._linearized.items():
             if key != own and key not in self._simulated:
                 yield pooled if own == self._around else replace(pooled, difference=None)

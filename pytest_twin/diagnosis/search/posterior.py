@@ -182,12 +182,14 @@ def _log_odds_of(found: SearchOutcome) -> Callable[[PooledModel], float]:
     def log_odds(rival: PooledModel) -> float:
         value = rival.evidence - of_incumbent
         is_richer = rival.size.is_richer_than(incumbent.size)
-        if is_richer:
-            # The search has decided that the richer set predicts no better.
+        is_cross_validated = rival.score is not None and rival.score <= incumbent.score
+        if is_richer or is_cross_validated:
+            # The search has decided that the richer set predicts no better. A set that fits better
+            # and predicts recordings that are left out no better fits errors of the model.
             value = min(value, 0.0)
         alike = rival.difference is not None and rival.difference <= SAME_PREDICTION
         if alike and rival.size.effects <= incumbent.size.effects:
-            return max(value, 0.0)
+            return 0.0
         return value
 
     return log_odds

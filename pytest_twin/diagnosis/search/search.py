@@ -314,8 +314,9 @@ class Search:
             self.physics = physics
             tried.append((self.simulated(model.hypothesis, _SETTING), physics))
         fitted = [(model, own)]
-        for each, self.physics in sorted(tried, key=self._noise_ratio)[:_FITTED_SETTINGS]:
-            fitted.append((self._fitted(each), self.physics))
+        for each, physics in sorted(tried, key=self._noise_ratio)[:_FITTED_SETTINGS]:
+            self.physics = physics
+            fitted.append((self._fitted(each), physics))
         best, self.physics = min(fitted, key=self._noise_ratio)
         return best
 
