@@ -98,8 +98,7 @@ class Solution:
     @property
     def notes(self) -> list[str]:
         """What the user has to know of the solution."""
-        bent = [] if self.compliance is None else [self.compliance.words]
-        return [*bent, *(one.words for one in self.pose_errors)]
+        return [] if self.compliance is None else [self.compliance.words]
 
 
 def calibrate_file(
@@ -305,6 +304,9 @@ def calibrate(
     ]
     notes = [*problem.notes, *(() if seen is None else seen.notes), *_notes(plan, held)]
     notes += solved.notes
+    if not suspected:
+        # A mistake of the input has errors that follow the poses too.
+        notes += [one.words for one in solved.pose_errors]
     if not degenerate:
         notes += _note_on_inverses(problem, document["records"])
         notes += [
