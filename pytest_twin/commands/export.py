@@ -14,7 +14,8 @@ from pytest_twin.commands import json_output, model_files
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show, show_lines
-from pytest_twin.export.target import TARGETS, exporter
+from pytest_twin.errors import SpecError
+from pytest_twin.export.target import STEPPED, TARGETS, exporter
 from pytest_twin.formats import atomic, typed
 from pytest_twin.loaded_model import find_model
 
@@ -53,6 +54,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="recordings that measure the loss (default: the held-out ones of the diagnosis)",
     )
+    parser.add_argument(
+        "--engine",
+        metavar="PYTHON",
+        type=Path,
+        help="Python of an environment with the simulator's package (mjlab or drake): steps the "
+        "export on at most 20 s of the held-out recordings, and measures the loss",
+    )
     model_files.add_arguments(parser)
 
 
@@ -63,6 +71,11 @@ def run(args: argparse.Namespace) -> int:
         TwinError: the input cannot be used.
     """
     find_model(args.source)
+    if args.engine is not None and args.to not in STEPPED:
+        raise SpecError(
+            "this target is not stepped in its own simulator", where="--engine", value=args.to,
+            expected=f"--to {' or '.join(STEPPED)}, or none of --engine",
+        )  # fmt: skip
     out: Path = args.out.absolute()
     with (
         child_result(out, EXPORT_FILE, 0.0, None, alone=True) as (staging, sandbox),
@@ -75,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
                 "target": args.to,
                 "out": str(staging),
                 "held_out": [str(path.resolve()) for path in args.held_out],
+                "engine": None if args.engine is None else str(args.engine.absolute()),
             },
             progress=progress,
         )
@@ -89,6 +103,7 @@ def export_files(
     target: str,
     out: str,
     held_out: list[str],
+    engine: str | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Read, export, write; runs in the child process.
@@ -98,6 +113,7 @@ def export_files(
         target: one of ``TARGETS``.
         out: an empty folder.
         held_out: recordings that measure the loss.
+        engine: Python of an environment with the target's package.
         progress: called with the fraction done.
 
     Returns:
@@ -105,7 +121,9 @@ def export_files(
     """
     from pytest_twin.export.source import read_source
 
-    read = read_source(Path(source), [Path(path) for path in held_out])
+    read = read_source(
+        Path(source), [Path(path) for path in held_out], Path(engine) if engine else None
+    )
     progress(0.1)
     exported = exporter(target)(read, Path(out))
     progress(0.95)

@@ -12,6 +12,8 @@ from lxml import etree
 
 from pytest_twin.diagnosis.patched.model import MODEL_FILE
 from pytest_twin.effects import catalogue
+from pytest_twin.errors import SpecError
+from pytest_twin.export import foreign_engine, measure
 from pytest_twin.export.drive_table import (
     DriveRow,
     DriveTable,
@@ -19,12 +21,23 @@ from pytest_twin.export.drive_table import (
     expressions,
     rounding_note,
 )
-from pytest_twin.export.mujoco_target import copy_assets, effect_row
+from pytest_twin.export.expression import Expression
+from pytest_twin.export.integration import Integration
+from pytest_twin.export.mujoco_target import (
+    copy_assets,
+    effect_row,
+    integration_row,
+    joint_errors,
+    measured_row,
+)
 from pytest_twin.export.source import ExportSource
 from pytest_twin.export.target import Exported
 from pytest_twin.formats import atomic
 from pytest_twin.realization import mjcf_file
+from pytest_twin.trial import Trial
 
+_DIVISORS = (1, 4, 16, 32)
+"""Numbers of the simulator's steps in one step of the model that are tried in this order."""
 _MOTOR_ATTRIBUTES = ("name", "joint", "ctrlrange", "forcerange", "ctrllimited", "forcelimited")
 
 
@@ -40,6 +53,7 @@ class ConfigTarget:
         approximated: part of a drive -> what is missing.
         modes: command modes that the configurations take.
         actuators: whether the robot's file keeps its actuators, has none, or has motors.
+        stepper: script that steps the export in its own simulator; empty if there is none.
     """
 
     file: str
@@ -49,19 +63,94 @@ class ConfigTarget:
     approximated: Mapping[str, str]
     modes: tuple[str, ...]
     actuators: Literal["kept", "none", "motors"]
+    stepper: str = ""
 
 
 def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> Exported:
     """Write the drives and the robot's file into an empty folder.
 
+    With ``source.engine``, the export is stepped there, and written for the coarsest of the time
+    steps with which it is within the tolerance.
+
     Raises:
-        TwinError: the model has a contact effect, or files that cannot be written.
+        TwinError: the model has a contact effect, or files that cannot be written; or the
+            recordings cannot be replayed in the target's simulator.
     """
     realization = source.loaded.realization
     table = drive_table(realization, source.patched)
     rows = [row for row in table.rows if row.mode in target.modes]
-    atomic.write_text(folder / target.file, target.render(rows, table.timestep))
+    trials: tuple[Trial, ...] = ()
+    if source.engine is not None:
+        trials = measure.chosen_trials(source.held_out, foreign_engine.MOST_SECONDS)
+        if not trials:
+            raise SpecError(
+                "no held-out recording to step", where="--engine",
+                expected="--held-out RECORDING",
+            )  # fmt: skip
+        foreign_engine.check_engine(source.engine, realization, trials)
+    families = {name: law.family for name, law in catalogue().items()}
+
+    def expressed(approximated: Mapping[str, str]) -> tuple[Expression, ...]:
+        return expressions(source.patched, target.written, approximated, families)
+
+    incomplete = {e.joint for e in expressed({}) if e.verdict == "lost"}
+    reference: measure.Errors = {}
+    errors: measure.Errors = {}
+    errors_as_is: measure.Errors = {}
+    complete: measure.Errors = {}
+    integrator = int(realization.model.opt.integrator)
+    steps = [Integration(integrator, n, f"that of {target.engine}") for n in _DIVISORS]
+    chosen = steps[0]
+
+    def measured(integration: Integration) -> measure.Errors:
+        assert source.engine is not None
+        _write(target, source, folder, rows, integration)
+        return foreign_engine.engine_errors(
+            source.engine, target.stepper, folder, realization, trials, integration.divisor
+        )
+
+    if trials:
+        reference = measure.patched_errors(realization, source.loaded.patched, trials)
+        # A lost effect hides what the time step costs at its joint.
+        complete = {j: error for j, error in reference.items() if j not in incomplete}
+        complete = complete or reference
+        chosen, errors, errors_as_is = measure.first_within(steps, measured, complete)
+    _write(target, source, folder, rows, chosen)
+    approximated = dict(target.approximated)
+    rounded = rounding_note(rows, table.timestep / chosen.divisor)
+    if rounded:
+        approximated["delay"] = rounded
+    found = expressed(approximated)
+    files = (target.file, MODEL_FILE)
+    if not trials:
+        comparison = f"not stepped here: fields of {target.engine}"
+        matrix = tuple(effect_row(e, source, comparison, None) for e in found)
+        return Exported(files, target.engine, "schema", matrix, {}, tuple(_notes(target, table)))
+    increase = measure.increase(errors, reference)
+    matrix = tuple(measured_row(e, source, trials, reference, increase, incomplete) for e in found)
+    step = integration_row(steps[0], chosen, complete, errors, errors_as_is)
+    return Exported(
+        files,
+        target.engine,
+        "stepped",
+        (*matrix, step),
+        joint_errors(realization, reference, errors),
+        tuple(_notes(target, table)[:-1]),
+    )
+
+
+def _write(
+    target: ConfigTarget,
+    source: ExportSource,
+    folder: Path,
+    rows: Sequence[DriveRow],
+    integration: Integration,
+) -> None:
+    """Write all files for one time step."""
+    realization = source.loaded.realization
     spec = realization.spec.copy()
+    integration.apply(spec)
+    atomic.write_text(folder / target.file, target.render(rows, float(spec.option.timestep)))
     if target.actuators != "kept":
         for actuator in list(spec.actuators):
             spec.delete(actuator)
@@ -74,21 +163,6 @@ def export_config(target: ConfigTarget, source: ExportSource, folder: Path) -> E
     atomic.write_text(folder / MODEL_FILE, text)
     copy_assets(realization, folder)
     mujoco.MjModel.from_xml_path(str(folder / MODEL_FILE))
-    approximated = dict(target.approximated)
-    rounded = rounding_note(rows, table.timestep)
-    if rounded:
-        approximated["delay"] = rounded
-    families = {name: law.family for name, law in catalogue().items()}
-    found = expressions(source.patched, target.written, approximated, families)
-    comparison = f"not stepped here: fields of {target.engine}"
-    return Exported(
-        (target.file, MODEL_FILE),
-        target.engine,
-        "schema",
-        tuple(effect_row(e, source, comparison, None) for e in found),
-        {},
-        tuple(_notes(target, table)),
-    )
 
 
 def _add_motor(spec: mujoco.MjSpec, row: DriveRow) -> None:

@@ -53,6 +53,7 @@ TARGET = ConfigTarget(
     approximated={},
     modes=("position",),
     actuators="motors",
+    stepper="step_drake.py",
 )
 
 

@@ -24,10 +24,12 @@ class Integration:
     Attributes:
         integrator: one of MuJoCo's.
         divisor: number of steps in one step of the diagnosed model.
+        name: name of the integrator, where it is not MuJoCo's.
     """
 
     integrator: int
     divisor: int = 1
+    name: str = ""
 
     def apply(self, spec: mujoco.MjSpec, bristles: Collection[str] = ()) -> None:
         """Set the options of a spec, and adapt dry friction, delays and filters to them.
@@ -55,7 +57,7 @@ class Integration:
     @property
     def words(self) -> str:
         """The integrator, and the divisor where it is not 1."""
-        name = mujoco.mjtIntegrator(self.integrator).name.removeprefix("mjINT_")
+        name = self.name or mujoco.mjtIntegrator(self.integrator).name.removeprefix("mjINT_")
         return name if self.divisor == 1 else f"{name}, time step / {self.divisor}"
 
 

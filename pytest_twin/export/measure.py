@@ -23,11 +23,11 @@ MOST_SECONDS = 120.0
 """Largest total length of the recordings that are simulated, s."""
 
 
-def chosen_trials(trials: Sequence[Trial]) -> tuple[Trial, ...]:
-    """The first trials up to :data:`MOST_SECONDS`, at least one."""
+def chosen_trials(trials: Sequence[Trial], most_seconds: float = MOST_SECONDS) -> tuple[Trial, ...]:
+    """The first trials up to a total length in s, at least one."""
     chosen: list[Trial] = []
     for trial in trials:
-        if chosen and sum(t.duration for t in chosen) + trial.duration > MOST_SECONDS:
+        if chosen and sum(t.duration for t in chosen) + trial.duration > most_seconds:
             break
         chosen.append(trial)
     return tuple(chosen)

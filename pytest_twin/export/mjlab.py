@@ -97,6 +97,7 @@ TARGET = ConfigTarget(
     approximated={},
     modes=("position", "velocity", "effort"),
     actuators="none",
+    stepper="step_mjlab.py",
 )
 
 

@@ -74,10 +74,10 @@ def _step(
     else:
         mujoco.mj_forward(model, data)
         read(run.steps)
-    return run.encoders.read_position(_at_stamps(positions, run))
+    return run.encoders.read_position(at_stamps(positions, run))
 
 
-def _at_stamps(positions: FloatArray, run: RowSimulation) -> FloatArray:
+def at_stamps(positions: FloatArray, run: RowSimulation) -> FloatArray:
     """Positions at the stamps, by a straight line between steps."""
     first = np.minimum(run.sample_step, len(positions) - 2)
     share = run.sample_fraction[:, None]

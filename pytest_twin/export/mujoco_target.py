@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -106,24 +107,17 @@ class MujocoExport:
         for name in files:
             self._load(folder / name)
         joint_increase = measure.increase(errors, reference)
-        rows = [self._row(e, reference, joint_increase) for e in nominal.expressions]
-        rows.append(_integration_row(candidates[0], chosen, reference, errors, errors_as_is))
+        rows = [
+            measured_row(e, self.source, self.trials, reference, joint_increase)
+            for e in nominal.expressions
+        ]
+        rows.append(integration_row(candidates[0], chosen, reference, errors, errors_as_is))
         return Exported(
             tuple(files),
             f"mujoco {mujoco.__version__}",
             "stepped" if reference else "loaded",
             tuple(rows),
-            {
-                joint: {
-                    "rms_diagnosed": reference[joint],
-                    "rms_exported": errors[joint] if math.isfinite(errors[joint]) else None,
-                    "unit": "m"
-                    if self.realization.structure.joint_type[joint] == "slide"
-                    else "rad",
-                }
-                for joint in reference
-                if joint in errors
-            },
+            joint_errors(self.realization, reference, errors),
             () if reference else (f"the loss is {_NOT_MEASURED}",),
         )
 
@@ -173,31 +167,75 @@ class MujocoExport:
                 path=path,
             ) from None
 
-    def _row(
-        self, expression: Expression, reference: measure.Errors, increase: dict[str, float]
-    ) -> Row:
-        difference, comparison = None, _NOT_MEASURED
-        if reference and expression.verdict == "kept":
-            joints = [expression.joint] if expression.joint in increase else list(increase)
-            difference = max((increase[joint] for joint in joints), default=None)
-            comparison = "held-out error of the exported model"
-        elif reference:
-            difference = self._cost(expression, reference)
-            comparison = "held-out error of the diagnosed model without this effect"
-        return effect_row(expression, self.source, comparison, difference)
 
-    def _cost(self, expression: Expression, reference: measure.Errors) -> float | None:
-        patched = self.source.loaded.patched
-        if patched is None:
-            return None
-        reduced = measure.without(patched, *expression.place)
-        if reduced == patched:
-            return None
-        try:
-            errors = measure.patched_errors(self.realization, reduced, self.trials)
-        except TwinError:
-            return None
-        return max(measure.increase(errors, reference).values(), default=None)
+def joint_errors(
+    realization: Realization, reference: measure.Errors, errors: measure.Errors
+) -> dict[str, dict[str, object]]:
+    """Joint -> errors of the diagnosed and of the exported model, with their unit."""
+    return {
+        joint: {
+            "rms_diagnosed": reference[joint],
+            "rms_exported": errors[joint] if math.isfinite(errors[joint]) else None,
+            "unit": "m" if realization.structure.joint_type[joint] == "slide" else "rad",
+        }
+        for joint in reference
+        if joint in errors
+    }
+
+
+def measured_row(
+    expression: Expression,
+    source: ExportSource,
+    trials: Sequence[Trial],
+    reference: measure.Errors,
+    increase: Mapping[str, float],
+    incomplete: Collection[str | None] = (),
+) -> Row:
+    """The row of an effect with its measured cost.
+
+    Args:
+        expression: how it was written.
+        source: the model with its effects.
+        trials: the recordings that measure.
+        reference: errors of the diagnosed model; empty without recordings.
+        increase: joint -> relative increase of its error in the export.
+        incomplete: joints with a lost effect, None for one of the whole robot. There the cost of
+            what is kept is not known.
+    """
+    difference, comparison = None, _NOT_MEASURED
+    if reference and expression.verdict != "lost":
+        joint = expression.joint
+        if joint in incomplete or None in incomplete:
+            return effect_row(expression, source, "not measured beside a lost effect", None)
+        joints = [joint] if joint is not None and joint in increase else list(increase)
+        difference = max((increase[name] for name in joints), default=None)
+        comparison = "held-out error of the exported model"
+    elif reference:
+        difference = _cost(expression, source, trials, reference)
+        comparison = "held-out error of the diagnosed model without this effect"
+        if difference is None and expression.joint in incomplete and expression.joint is not None:
+            difference = increase.get(expression.joint)
+            comparison = "held-out error of the exported model, without all lost effects"
+    return effect_row(expression, source, comparison, difference)
+
+
+def _cost(
+    expression: Expression,
+    source: ExportSource,
+    trials: Sequence[Trial],
+    reference: measure.Errors,
+) -> float | None:
+    patched = source.loaded.patched
+    if patched is None:
+        return None
+    reduced = measure.without(patched, *expression.place)
+    if reduced == patched:
+        return None
+    try:
+        errors = measure.patched_errors(source.loaded.realization, reduced, trials)
+    except TwinError:
+        return None
+    return max(measure.increase(errors, reference).values(), default=None)
 
 
 def copy_assets(realization: Realization, folder: Path) -> None:
@@ -243,7 +281,7 @@ def effect_row(
     )  # fmt: skip
 
 
-def _integration_row(
+def integration_row(
     before: Integration,
     after: Integration,
     reference: measure.Errors,

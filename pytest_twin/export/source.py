@@ -38,6 +38,7 @@ class ExportSource:
         findings: findings of a diagnosis, as in ``diagnosis.json``.
         held_out: recordings that were used for no fit.
         notes: what a user must know before the export is used.
+        engine: Python of an environment with the target's package, which measures the loss.
     """
 
     path: Path
@@ -45,6 +46,7 @@ class ExportSource:
     findings: Sequence[Mapping[str, Any]] = ()
     held_out: tuple[Trial, ...] = ()
     notes: tuple[str, ...] = ()
+    engine: Path | None = None
 
     @property
     def patched(self) -> PatchedModel:
@@ -58,12 +60,15 @@ class _Recordings:
     notes: list[str] = field(default_factory=list)
 
 
-def read_source(path: Path, recordings: Sequence[Path] = ()) -> ExportSource:
+def read_source(
+    path: Path, recordings: Sequence[Path] = (), engine: Path | None = None
+) -> ExportSource:
     """Read a diagnosis or a twin.
 
     Args:
         path: folder of a diagnosis, ``twin.yaml``, or a model file.
         recordings: recordings to measure with; by default the held-out ones of the diagnosis.
+        engine: Python of an environment with the target's package.
 
     Raises:
         TwinError: it cannot be read, or its files changed since it was made.
@@ -87,7 +92,7 @@ def read_source(path: Path, recordings: Sequence[Path] = ()) -> ExportSource:
         trials += make_trials(read, loaded.realization.structure, loaded.options)
     findings = document.get("findings", [])
     notes = (*found.notes, *_doubts(document), *_of_the_twin(twin))
-    return ExportSource(path, loaded, findings, tuple(trials), notes)
+    return ExportSource(path, loaded, findings, tuple(trials), notes, engine)
 
 
 def _read_document(path: Path) -> dict[str, Any]:

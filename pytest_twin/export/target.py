@@ -48,6 +48,9 @@ TARGETS: Mapping[str, str] = {
 }
 """Target -> module with a function ``export``."""
 
+STEPPED = ("mjlab", "drake")
+"""Targets whose own simulator can measure the loss."""
+
 
 def exporter(target: str) -> Callable[[ExportSource, Path], Exported]:
     """The function that writes a target's files into an empty folder."""

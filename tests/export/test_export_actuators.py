@@ -134,41 +134,33 @@ def test_what_an_actuator_cannot_hold_is_lost(robot: Robot, tmp_path: Path) -> N
     assert [row["verdict"] for row in document["rows"]] == ["lost", "lost"]
 
 
-def moved_by(python: str, script: str, out: Path, realization: Path) -> tuple[Any, Any]:
-    """Positions of an exported robot in another simulator, and of the diagnosed MJCF in MuJoCo."""
-    model = mujoco.MjModel.from_xml_path(str(realization / "model.xml"))
-    data = mujoco.MjData(model)
-    time = np.arange(500) * model.opt.timestep
-    values = 0.4 * np.sin(6.0 * time[:, None] * [1.0, 1.3])
-    expected = []
-    for row in values:
-        data.ctrl[:] = row
-        mujoco.mj_step(model, data)
-        expected.append(data.qpos.copy())
-    names = ["left", "right"]
-    commands = out / "commands.json"
-    commands.write_text(
-        json.dumps({
-            "actuators": names, "joints": names, "values": values.tolist(),
-            "timestep": model.opt.timestep,
-        })
-    )  # fmt: skip
-    run = subprocess.run(
-        [python, str(Path(__file__).with_name("foreign") / script), str(out), str(commands)],
-        capture_output=True, text=True, timeout=240, check=False,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr[-2000:]
-    return np.array(json.loads(run.stdout.splitlines()[-1])["positions"]), np.array(expected)
+def stepped(
+    robot: Robot, folder: Path, target: str, python: str, effects: list[Effect]
+) -> dict[str, dict[str, Any]]:
+    """Feature -> row of an export that its own simulator stepped on the held-out recording."""
+    diagnosis, out = diagnosis_in(folder, robot, effects), folder / "out"
+    arguments = ["export", str(diagnosis), "--to", target, "--out", str(out), "--engine", python]
+    assert main([*arguments, "--held-out", str(folder / "held_out.mcap")]) == 0
+    document = json.loads((out / "export.json").read_text())
+    assert document["checked"] == "stepped"
+    return {row["feature"]: row for row in document["rows"]}
 
 
 @pytest.mark.skipif(MJLAB not in os.environ, reason=f"{MJLAB} names no environment with mjlab")
-def test_mjlab_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> None:
-    out, document = exported(robot, tmp_path, "mjlab", EFFECTS)
-    assert {row["verdict"] for row in document["rows"]} == {"kept"}
-    moved, expected = moved_by(
-        os.environ[MJLAB], "step_mjlab.py", out, tmp_path / "diagnosis" / "realization"
-    )
-    assert np.abs(moved - expected).max() < 1e-9
+@pytest.mark.parametrize(
+    "effects",
+    [
+        EFFECTS,
+        [("command_delay", 1, {"delay": 0.0213})],
+        [("torque_speed_limit", 0, {"inverse_no_load_speed": 0.2, "stall": 1.5})],
+    ],
+    ids=["drives", "delay", "motor"],
+)
+def test_mjlab_follows_the_held_out_recording_as_the_diagnosed_model(
+    robot: Robot, tmp_path: Path, effects: list[Effect]
+) -> None:
+    for row in stepped(robot, tmp_path, "mjlab", os.environ[MJLAB], effects).values():
+        assert row["difference"] <= 0.05, row
 
 
 def test_drake_has_no_dry_friction(robot: Robot, tmp_path: Path) -> None:
@@ -179,13 +171,55 @@ def test_drake_has_no_dry_friction(robot: Robot, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(DRAKE not in os.environ, reason=f"{DRAKE} names no environment with drake")
-def test_drake_moves_as_the_diagnosed_model(robot: Robot, tmp_path: Path) -> None:
-    out, _ = exported(robot, tmp_path, "drake", EFFECTS[1:])
-    moved, expected = moved_by(
-        os.environ[DRAKE], "step_drake.py", out, tmp_path / "diagnosis" / "realization"
-    )
-    # Drake integrates the gains implicitly, MuJoCo the stiffness explicitly: half a step apart.
-    assert np.sqrt(np.mean((moved - expected) ** 2)) < 0.02
+def test_drake_follows_the_held_out_recording_except_where_an_effect_is_lost(
+    robot: Robot, tmp_path: Path
+) -> None:
+    rows = stepped(robot, tmp_path, "drake", os.environ[DRAKE], EFFECTS)
+    assert rows["viscous_friction of left"]["difference"] <= 0.05
+    assert rows["torque_saturation of left"]["difference"] <= 0.05
+    assert rows["integration"]["difference"] <= 0.05
+    # Its friction is lost, so that no cost of what is kept there can be told.
+    assert rows["coulomb_friction of right"]["difference"] > 1.0
+    assert rows["armature of right"]["verdict"] == "kept"
+    assert rows["armature of right"]["difference"] is None
+
+
+@pytest.mark.parametrize(
+    ("target", "engine", "with_recording", "message"),
+    [
+        (
+            "isaaclab",
+            sys.executable,
+            True,
+            "--engine: this target is not stepped",
+        ),
+        ("drake", sys.executable, False, "--engine: no held-out recording to step"),
+        ("drake", "no_python", True, "--engine: no such Python"),
+        ("drake", sys.executable, True, "--engine: the simulator stopped: ModuleNotFoundError"),
+        (
+            "mujoco",
+            sys.executable,
+            True,
+            "--engine: this target is not stepped",
+        ),
+    ],
+)
+def test_an_engine_that_cannot_step_the_export_is_refused_in_one_line(
+    robot: Robot,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    target: str,
+    engine: str,
+    with_recording: bool,
+    message: str,
+) -> None:
+    diagnosis = diagnosis_in(tmp_path, robot, EFFECTS)
+    arguments = ["export", str(diagnosis), "--to", target, "--out", str(tmp_path / "out")]
+    recording = ["--held-out", str(tmp_path / "held_out.mcap")] if with_recording else []
+    assert main([*arguments, "--engine", engine, *recording]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
 
 
 def test_newton_gets_a_layer_with_actuators_and_passive_forces(
