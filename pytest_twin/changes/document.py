@@ -13,7 +13,7 @@ from pytest_twin.changes.comparison import Comparison
 from pytest_twin.changes.find_changes import Changes
 from pytest_twin.changes.naming import Change
 from pytest_twin.changes.tool_load import is_tool_load, mass_and_place
-from pytest_twin.effects.base import si_unit
+from pytest_twin.effects.base import Effect, si_unit
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.formats.record_fields import Z95
 
@@ -208,22 +208,42 @@ def _difference(found: Changes, change: Change) -> dict[str, Any]:
     i = max(efforts, key=lambda k: float(np.abs(efforts[k]).max()))
     j = int(np.abs(efforts[i]).max(axis=0).argmax())
     part = found.rows.parts[i]
-    recording, step = part.recording, -(-len(part.time) // _MOST_SAMPLES)
+    recording = part.recording
     position = np.interp(part.time, recording.time, recording.position[:, j])
-    series = {
-        "time": recording.start + part.time,
-        "position": position,
-        "velocity": np.gradient(position, part.time),
-        "measured": found.rows.residuals([i], others)[0][:, j],
-        "change": efforts[i][:, j],
-    }
     slide = bool(found.laws.dynamics.slides[j])
     return {
         "recording": recording.path.name,
         "joint": found.laws.joints[j],
         "unit": si_unit("effort", slide),
         "position_unit": si_unit("position", slide),
-        "over": "velocity" if change.shape.term.law.family == _FRICTION else "position",
+    } | difference_series(
+        change.shape.term.law, recording.start + part.time, position,
+        found.rows.residuals([i], others)[0][:, j], efforts[i][:, j],
+    )  # fmt: skip
+
+
+def difference_series(
+    law: Effect,
+    time: FloatArray,
+    position: FloatArray,
+    measured: FloatArray,
+    change: FloatArray,
+) -> dict[str, Any]:
+    """What is new in a signal, over time and over what a law depends on.
+
+    Args:
+        time, position: (n,) s, and rad or m.
+        measured: (n,) new minus earlier signal.
+        change: (n,) the same as a change predicts it.
+    """
+    step = -(-len(time) // _MOST_SAMPLES)
+    series = {
+        "time": time, "position": position,
+        "velocity": np.gradient(position, time + 1e-9 * np.arange(len(time))),
+        "measured": measured, "change": change,
+    }  # fmt: skip
+    return {
+        "over": "velocity" if law.family == _FRICTION else "position",
         **{name: [number(x) for x in values[::step].tolist()] for name, values in series.items()},
     }
 

@@ -6,16 +6,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.by_simulation import SimulatedChanges
-from pytest_twin.changes.document import alarm_json, number, verdict_of
+from pytest_twin.changes.document import alarm_json, difference_series, number, verdict_of
 from pytest_twin.changes.naming import Change
 from pytest_twin.changes.repeated import RepeatedMotion
 from pytest_twin.changes.undone import REALIZATION, Counterfactual
 from pytest_twin.diagnosis.findings import Estimate, Finding, finding_json
+from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.base import Parameter, si_unit
-from pytest_twin.estimation.hypothesis import EMPTY
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
 from pytest_twin.formats.record_fields import Z95
 from pytest_twin.trial import Trial
 
@@ -103,16 +106,12 @@ def _residuals(found: SimulatedChanges, units: Sequence[str]) -> dict[str, dict[
     )
     after = now
     if found.found is not None:
-        tested = found.found.tested
-        problem, best = tested.prepared.problem, tested.explanation.hypothesis
-        before, changed = (
-            problem.at(h).errors([h], problem.tested_segments)[0] for h in (EMPTY, best)
-        )
-        columns = [problem.joints.index(j) if j in problem.joints else -1 for j in joints]
-        now, after = (
-            np.array([np.sqrt(np.mean(e[:, k] ** 2)) if k >= 0 else np.nan for k in columns])
-            for e in (before, changed)
-        )
+        # The rows of the comparison are means over short times, which average the noise.
+        known, tested = found.known.found, found.found.tested
+        at_test, of_test = tested.prepared.problem, tested.prepared.problem.tested_segments
+        usual = _rms_errors(joints, known.prepared.problem, known.explanation.hypothesis)
+        now = _rms_errors(joints, at_test, EMPTY, of_test)
+        after = _rms_errors(joints, at_test, tested.explanation.hypothesis, of_test)
     return {
         joint: {
             "rms_usual": number(usual[j]), "rms_before": number(now[j]),
@@ -120,6 +119,24 @@ def _residuals(found: SimulatedChanges, units: Sequence[str]) -> dict[str, dict[
         }
         for j, joint in enumerate(joints)
     }  # fmt: skip
+
+
+def _rms_errors(
+    joints: Sequence[str],
+    problem: Problem,
+    hypothesis: Hypothesis,
+    segments: NDArray[np.int64] | None = None,
+) -> FloatArray:
+    """(joints,) RMS error of the positions, rad or m; NaN at a joint that the problem lacks.
+
+    Args:
+        segments: those of the recordings; the fitted ones by default.
+    """
+    which = problem.fit if segments is None else segments
+    (errors,) = problem.at(hypothesis).errors([hypothesis], which)
+    rms = np.sqrt(np.mean(errors**2, axis=0))
+    return np.array([rms[problem.joints.index(j)] if j in problem.joints else np.nan
+                     for j in joints])  # fmt: skip
 
 
 def _repeated(motion: RepeatedMotion, units: Mapping[str, str]) -> dict[str, Any]:
@@ -185,12 +202,56 @@ def _simulated(found: SimulatedChanges, finding: Finding) -> dict[str, Any]:
         change[name] = _json(_difference(p, before, estimate))
         now[name] = _json(_total(p, before, estimate))
     document |= {"parameters": now, "change": change, "known_before": known}
+    document |= _new_in_positions(found, finding)
     if finding.term in found.uncertain_before:
         document["confidence"] = min(document["confidence"], _MOST_UNFINISHED)
     if not found.held_out:
         document["held_out_gain"] = None
         document["residual_gain"] = round(finding.held_out_gain, 5)
     return document
+
+
+def _new_in_positions(found: SimulatedChanges, finding: Finding) -> dict[str, Any]:
+    """New minus earlier positions where a change acts most, measured and as the change predicts.
+
+    The earlier positions are those that the model with the other changes predicts.
+    """
+    assert found.found is not None
+    tested = found.found.tested
+    problem, best = tested.prepared.problem, tested.explanation.hypothesis
+    own = next(
+        (
+            t for t in best.terms
+            if t.effect == finding.effect
+            and (None if t.joint < 0 else problem.joints[t.joint]) == finding.joint
+        ),
+        None,
+    )  # fmt: skip
+    if own is None:
+        # The test recordings lack its joint.
+        return {}
+    segments, joints = problem.tested_segments, len(problem.joints)
+    without, changed = (
+        problem.at(h).errors([h], segments)[0][:, :joints] for h in (best.without(own), best)
+    )
+    predicted = np.nan_to_num(without - changed)
+    row, j = np.unravel_index(np.abs(predicted).argmax(), predicted.shape)
+    ends = np.cumsum(problem.lengths(segments))
+    k = int(np.searchsorted(ends, row, side="right"))
+    segment, rows = problem.simulator.segments[segments[k]], slice(ends[k - 1] if k else 0, ends[k])
+    recordings = (*tested.trials.fit, *tested.trials.held_out)
+    recording = recordings[tested.prepared.segment_trial[segments[k]]]
+    unit = si_unit("position", bool(problem.simulator.layout.slides[j]))
+    return {
+        "difference": {
+            "recording": recording.path.name, "joint": problem.joints[j], "unit": unit,
+            "position_unit": unit,
+        }
+        | difference_series(
+            catalogue()[finding.effect], segment.time, segment.position[:, j],
+            without[rows, j], predicted[rows, j],
+        )
+    }  # fmt: skip
 
 
 def _widened(estimate: Estimate, half: float) -> Estimate:

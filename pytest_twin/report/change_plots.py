@@ -1,4 +1,4 @@
-"""Figure of a change: new minus earlier efforts, over time and over what the law depends on."""
+"""Figure of a change: new minus earlier signal, over time and over what the law depends on."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ _WIDTH, _HEIGHT = 8.6, 2.7
 """Size of the figure, inches."""
 
 
-def difference_figure(difference: Mapping[str, Any]) -> bytes:
-    """Draw what is new in the efforts of a joint, as SVG.
+def difference_figure(difference: Mapping[str, Any], signal: str) -> bytes:
+    """Draw what is new in the efforts or positions of a joint, as SVG.
 
-    Grey: measured, minus what the earlier recordings predict along the same motion. It would be
-    noise about 0 if nothing had changed. Red: the change that is named.
+    Grey: measured, minus what the earlier recordings predict for the same motion or commands. It
+    would be noise about 0 if nothing had changed. Red: the change that is named.
 
     Args:
         difference: object of a finding of ``diagnosis.json``.
+        signal: ``effort`` or ``position``.
     """
     unit = printable(difference["unit"])
     over = difference["over"]
@@ -32,7 +33,7 @@ def difference_figure(difference: Mapping[str, Any]) -> bytes:
     def draw(figure: Figure) -> None:
         time, law = figure.subplots(
             1, 2, sharey=True,
-            gridspec_kw={"left": 0.075, "right": 0.985, "top": 0.86, "bottom": 0.17,
+            gridspec_kw={"left": 0.1, "right": 0.985, "top": 0.86, "bottom": 0.17,
                          "wspace": 0.06, "width_ratios": [1.7, 1.0]},
         )  # fmt: skip
         time.plot(difference["time"], difference["measured"], color=DIM, linewidth=0.9,
@@ -40,7 +41,7 @@ def difference_figure(difference: Mapping[str, Any]) -> bytes:
         time.plot(difference["time"], difference["change"], color=FAIL, linewidth=1.2,
                   label="the change that is named")  # fmt: skip
         time.set_xlabel("time [s]")
-        time.set_ylabel(f"new minus earlier effort [{unit}]")
+        time.set_ylabel(f"new minus earlier {signal} [{unit}]")
         time.set_title(f"{printable(difference['joint'])} in {printable(difference['recording'])}")
         law.plot(difference[over], difference["measured"], ".", color=DIM, markersize=3.0)
         law.plot(difference[over], difference["change"], ".", color=FAIL, markersize=3.0)

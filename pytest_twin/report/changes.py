@@ -76,10 +76,20 @@ def model_lines(document: Mapping[str, Any]) -> list[str]:
 def _declared(document: Mapping[str, Any]) -> list[str]:
     """Return a line for each declared difference."""
     return [
-        f"Declared: {each['what']} {list_names(each['before'])} before, {list_names(each['now'])} "
-        f"now; {'it is in the model' if each['in_model'] else 'no value for the model is stated'}"
+        f"Declared: {each['what']} {_stated(each['before'])} before, {_stated(each['now'])} now; "
+        f"{'it is in the model' if each['in_model'] else 'no value for the model is stated'}"
         for each in document.get("declared", [])
     ]
+
+
+def _stated(values: Sequence[str]) -> str:
+    """Return declared values: names, or the range of numbers."""
+    try:
+        numbers = [float(value) for value in values]
+    except ValueError:
+        return list_names(values)
+    low, high = number(min(numbers)), number(max(numbers))
+    return low if low == high else f"{low} to {high}"
 
 
 def _repeated(document: Mapping[str, Any]) -> list[str]:
@@ -200,7 +210,7 @@ def render(document: Mapping[str, Any]) -> str:
                 "gain": _gain(finding),
                 "ambiguous": ambiguity_sentence(finding),
                 "spans": [(n, spans_in_words(w)) for n, w in finding["where"]["windows"].items()],
-                "figure": svg_uri(difference_figure(finding["difference"]))
+                "figure": svg_uri(difference_figure(finding["difference"], _residuals(document)[0]))
                 if "difference" in finding
                 else None,
             }

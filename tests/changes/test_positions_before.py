@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pytest_twin.cli import main
@@ -76,7 +77,12 @@ def test_more_dry_friction_is_named_with_the_value_before(robot: Path, tmp_path:
     assert errors["rms_changed"] > 3.0 * errors["rms_known"]
     written = (tmp_path / "out" / "realization" / "model.xml").read_text()
     assert float(written.split('frictionloss="')[1].split('"')[0]) == pytest.approx(0.08, abs=0.004)
-    assert document["position"]["left"]["unit"] == "rad"
+    error, new = document["position"]["left"], finding["difference"]
+    assert error["unit"] == "rad"
+    # Both are errors of single samples: with the change the robot is predicted as before.
+    assert error["rms_after"] == pytest.approx(error["rms_usual"], rel=0.2)
+    measured, change = np.array(new["measured"]), np.array(new["change"])
+    assert np.std(measured - change) < 0.2 * np.std(measured)
     assert "Coulomb friction" in (tmp_path / "out" / "report.html").read_text()
 
 
@@ -118,7 +124,7 @@ def test_in_a_repeated_motion_an_error_of_the_model_is_no_background(
 
 
 def test_what_the_metadata_declare_is_named_as_declared(robot: Path, tmp_path: Path) -> None:
-    warm = {**DECLARED, "temperature": "31", "tool": "gripper B"}
+    warm = {**DECLARED, "temperature": "31.20000001", "tool": "gripper B"}
     new = record(
         tmp_path / "new.mcap", 20, seconds=2.0, joints=JOINTS, metadata=warm, **WRONG
     )  # fmt: skip
@@ -126,12 +132,11 @@ def test_what_the_metadata_declare_is_named_as_declared(robot: Path, tmp_path: P
     assert document["verdict"] == "no_change"
     assert document["declared"] == [
         {"what": "tool", "before": ["none"], "now": ["gripper B"], "in_model": False},
-        {"what": "temperature", "before": ["none"], "now": ["31"], "in_model": False},
+        {"what": "temperature", "before": ["none"], "now": ["31.20000001"], "in_model": False},
     ]
-    assert (
-        "Declared: tool none before, gripper B now"
-        in (tmp_path / "out" / "report.html").read_text()
-    )
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Declared: tool none before, gripper B now" in page
+    assert "Declared: temperature none before, 31.2 now" in page
 
 
 def test_a_later_command_is_a_delay_of_commands_or_readings(robot: Path, tmp_path: Path) -> None:

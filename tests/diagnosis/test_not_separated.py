@@ -35,8 +35,9 @@ def test_the_smallest_set_of_names_that_holds_90_percent_is_stated() -> None:
 
 
 def test_an_alternative_that_is_likelier_than_the_finding_is_first() -> None:
-    one = finding("coulomb_friction", 0.3, ("stribeck_friction", 0.65))
-    assert names(one) == ["stribeck_friction@elbow", "coulomb_friction@elbow"]
+    for own, other in ((0.3, 0.65), (0.03, 0.97)):
+        one = finding("coulomb_friction", own, ("stribeck_friction", other))
+        assert names(one) == ["stribeck_friction@elbow", "coulomb_friction@elbow"]
 
 
 @pytest.mark.parametrize(
