@@ -27,7 +27,8 @@ out = {}
 for found in importlib.metadata.distributions():
     paths = [found.locate_file(file) for file in found.files or []]
     sizes = [p.stat().st_blocks * 512 for p in paths if p.is_file() and p.suffix != ".pyc"]
-    needs = [re.match(r"[A-Za-z0-9._-]+", r)[0] for r in found.requires or [] if "extra ==" not in r]
+    required = [r for r in found.requires or [] if "extra ==" not in r]
+    needs = [re.match(r"[A-Za-z0-9._-]+", r)[0] for r in required]
     out[name(found.metadata["Name"])] = [sum(sizes), [name(need) for need in needs]]
 print(json.dumps(out))
 """
