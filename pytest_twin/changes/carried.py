@@ -56,7 +56,8 @@ def carried_half_widths(
     base, *moved = problem.residuals([hypothesis, *rows, *shifts], problem.fit)
     weight = problem.weights(np.mean(base**2, axis=0))
     slopes = [
-        np.nan_to_num((base - r) * weight / s).ravel()
+        # Motion that diverges has no slope.
+        np.nan_to_num((base - r) * weight / s, posinf=0.0, neginf=0.0).ravel()
         for r, s in zip(moved, [*steps, *sizes], strict=True)
     ]
     own_slopes, earlier_slopes = (
