@@ -304,9 +304,8 @@ def calibrate(
     ]
     notes = [*problem.notes, *(() if seen is None else seen.notes), *_notes(plan, held)]
     notes += solved.notes
-    if not suspected:
-        # A mistake of the input has errors that follow the poses too.
-        notes += [one.words for one in solved.pose_errors]
+    # A mistake of the input has errors that follow the poses too.
+    notes += _notes_on_poses(problem, () if suspected else solved.pose_errors)
     if not degenerate:
         notes += _note_on_inverses(problem, document["records"])
         notes += [
@@ -316,12 +315,6 @@ def calibrate(
         ]
     if change is not None and change.may_be_arm:
         notes.append(change.note)
-    if problem.chain is None and observations.flange is not None:
-        notes.append(
-            "flange.* are taken as they are: no interval contains an error of the controller's "
-            "joint zeros or links that the residuals do not show; to find it, give robot: with "
-            "columns joint.NAME and estimate joint_zeros"
-        )
     # Poses that determine nothing compare no solvers.
     if better is not None and not degenerate:
         is_reason = better.is_beyond_chance and not suspected
@@ -487,6 +480,19 @@ def _many_outliers(fit: Fit) -> list[str]:
         for term, kept, count in zip(fit.problem.terms, fit.kept, left_out, strict=True)
         if count > MOST_OUTLIERS * len(kept)
     ]
+
+
+def _notes_on_poses(problem: CalibrationProblem, errors: Sequence[PoseErrors]) -> list[str]:
+    """Return notes on errors that repeat with the pose, and on those that nothing shows."""
+    notes = [one.words for one in errors]
+    if problem.chain is None and problem.observations.flange is not None:
+        notes.append(
+            "flange.* are taken as they are: they must be poses of the flange, not of a tool that "
+            "is set in the controller, and no interval contains an error of its joint zeros or "
+            "links that the residuals do not show; to find it, give robot: with columns "
+            "joint.NAME and estimate joint_zeros"
+        )
+    return notes
 
 
 def _note_on_inverses(problem: CalibrationProblem, found: Mapping[str, Any]) -> list[str]:

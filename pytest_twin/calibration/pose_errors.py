@@ -24,7 +24,7 @@ from pytest_twin.calibration.parameters import Variables
 from pytest_twin.calibration.problem import predicted_poses
 from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.solve import Fit, prior_values
-from pytest_twin.calibration.terms import PoseTerm
+from pytest_twin.calibration.terms import PointTerm, PoseTerm
 
 _CHANCE = 0.01
 """Significance level of each kind of error. A false one widens the intervals."""
@@ -37,7 +37,7 @@ class PoseErrors:
     """An error that repeats with the pose.
 
     Attributes:
-        kind: ``depth`` or ``flange``.
+        kind: ``depth``, ``flange`` or ``scale``.
         probability: that independent errors show as much (F test).
         removes: share of the squared residuals that it explains.
         cause: the error with its size, as text; ``mend``: what to do.
@@ -84,7 +84,11 @@ def with_pose_errors(
     """
     fit = found.fit
     terms = fit.problem.terms
-    if len(terms) != 1 or not isinstance(terms[0], PoseTerm) or found.lost.any():
+    if found.lost.any() or not terms:
+        return found, ()
+    if all(isinstance(term, PointTerm) for term in terms):
+        return _with_scale_of_points(found)
+    if len(terms) != 1 or not isinstance(terms[0], PoseTerm):
         return found, ()
     if fit.problem.is_odometry or fit.problem.observations.images is not None:
         return found, ()
@@ -107,6 +111,25 @@ def with_pose_errors(
         found, error = _with_flange_errors(found, terms[0], depth if deep is not None else None)
         errors += [] if error is None else [error]
     return found, tuple(errors)
+
+
+def _with_scale_of_points(
+    found: CalibrationEstimate,
+) -> tuple[CalibrationEstimate, tuple[PoseErrors, ...]]:
+    """Widen the intervals by a factor of all measured points, if the residuals show one."""
+    terms = [term for term in found.fit.problem.terms if isinstance(term, PointTerm)]
+    found, tested = _with_columns(found, *(-term.measured[:, :, None] for term in terms))
+    if tested is None:
+        return found, ()
+    error = PoseErrors(
+        "scale",
+        tested.probability,
+        tested.removes,
+        f"positions of point.* fit the robot's motions {1.0 + float(tested.step[-1]):.4f} times as "
+        "large: the tracker's scale or the robot's links are wrong by this factor",
+        "measure a known length with the tracker, or give robot: and estimate geometry",
+    )
+    return found, (error,)
 
 
 def _with_flange_errors(
@@ -170,15 +193,15 @@ def _with_flange_errors(
 
 
 def _with_columns(
-    found: CalibrationEstimate, columns: FloatArray
+    found: CalibrationEstimate, *columns: FloatArray
 ) -> tuple[CalibrationEstimate, FurtherColumns | None]:
     """Widen the intervals by further errors, if the residuals show them.
 
     Args:
-        columns: (n, 6, further) derivatives of the residuals by the errors.
+        columns: for each term, (n, residuals, further) derivatives by the errors.
     """
     fit = found.fit
-    tested = free_columns(fit, fit.jacobian, _whitened(fit, columns), _residuals(fit))
+    tested = free_columns(fit, fit.jacobian, _whitened(fit, *columns), _residuals(fit))
     if tested.probability > _CHANCE:
         return found, None
     wider = np.outer(tested.shift, tested.shift) + tested.covariance
@@ -232,19 +255,25 @@ def _in_base(poses: FloatArray) -> FloatArray:
     return moved
 
 
-def _whitened(fit: Fit, columns: FloatArray) -> FloatArray:
-    """Return (m, further) derivatives over their noise, 0 for outliers and priors."""
-    (term,) = fit.problem.terms
-    sizes = np.array([fit.noise[name] for name in term.noise])
-    rows = columns * (fit.kept[0][:, None] / sizes)[:, :, None]
-    flat = rows.reshape(-1, columns.shape[2])
-    priors = np.zeros((len(fit.jacobian) - len(flat), columns.shape[2]))
-    return np.vstack([flat, priors])
+def _whitened(fit: Fit, *columns: FloatArray) -> FloatArray:
+    """Return (m, further) derivatives over their noise, 0 for outliers and priors.
+
+    Args:
+        columns: for each term, (n, residuals, further) derivatives.
+    """
+    rows = []
+    for term, kept, of_term in zip(fit.problem.terms, fit.kept, columns, strict=True):
+        sizes = np.array([fit.noise[name] for name in term.noise])
+        weighted = of_term * (kept[:, None] / sizes)[:, :, None]
+        rows.append(weighted.reshape(-1, of_term.shape[2]))
+    priors = np.zeros((len(fit.jacobian) - sum(map(len, rows)), columns[0].shape[2]))
+    return np.vstack([*rows, priors])
 
 
 def _residuals(fit: Fit) -> FloatArray:
     """Return (m,) residuals over their noise, 0 for outliers, and those of priors."""
-    (term,) = fit.problem.terms
-    sizes = np.array([fit.noise[name] for name in term.noise])
-    rows = fit.residuals[0] * (fit.kept[0][:, None] / sizes)
-    return np.concatenate([rows.ravel(), prior_values(fit.problem, fit.state)])
+    rows = []
+    for term, kept, residuals in zip(fit.problem.terms, fit.kept, fit.residuals, strict=True):
+        sizes = np.array([fit.noise[name] for name in term.noise])
+        rows.append((residuals * (kept[:, None] / sizes)).ravel())
+    return np.concatenate([*rows, prior_values(fit.problem, fit.state)])

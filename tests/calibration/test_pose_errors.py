@@ -81,6 +81,36 @@ def test_a_wrong_focal_length_widens_the_intervals_and_is_named() -> None:
         assert result["verdict"] == "rejected" or misses(result, cell.mounted, cell.world) < 2.5
 
 
+def test_a_wrong_scale_of_a_tracker_widens_the_intervals() -> None:
+    markers = {"m1": [0.05, 0.0, 0.04], "m2": [-0.04, 0.06, 0.02], "m3": [0.0, -0.05, 0.07]}
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        flange = forward(arm(6, rng), rng.uniform(-1.0, 1.0, (45, 6)))
+        base = flange_cell(rng, flange).world
+        base[:3, 3] += [1.5, 0.0, 0.5]
+        points = {
+            name: np.array(
+                [
+                    1.01 * (np.linalg.inv(base) @ pose @ [*at, 1.0])[:3] + rng.normal(0, 3e-4, 3)
+                    for pose in flange
+                ]
+            )
+            for name, at in markers.items()
+        }
+        ids = tuple(str(row) for row in range(len(flange)))
+        observations = Observations(ids=ids, flange=flange, points=points)
+        result = calibrate(plan("base_world", mount="world"), observations, None)
+        (one,) = result["fitted"]["pose_errors"]
+        assert one["kind"] == "scale"
+        assert any("0.99" in note and "tracker's scale" in note for note in result["notes"])
+        record = result["records"]["base_world"]
+        truth = np.linalg.inv(base)[:3, 3]
+        for at, axis in enumerate("xyz"):
+            low, high = record["ci95"][axis]
+            middle, half = (low + high) / 2, (high - low) / 2
+            assert abs(middle - truth[at]) < 2.5 * half
+
+
 def test_independent_errors_do_not_widen_the_intervals() -> None:
     widened = 0
     for seed in range(20):
