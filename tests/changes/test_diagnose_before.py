@@ -201,7 +201,7 @@ def test_the_page_shows_what_is_new_beside_the_change(robot: Path, tmp_path: Pat
     measured, change = (np.array(difference[name]) for name in ("measured", "change"))
     assert np.std(measured - change) < 0.2 * np.std(measured)
     page = (tmp_path / "out" / "report.html").read_text()
-    assert 'alt="new minus earlier efforts of Coulomb friction at joint shoulder"' in page
+    assert 'alt="new minus earlier effort of Coulomb friction at joint shoulder"' in page
     assert "as before" in page
 
 

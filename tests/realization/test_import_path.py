@@ -77,6 +77,8 @@ def test_only_these_modules_start_processes() -> None:
     assert starts_of_processes() == {
         # git, which imports no Python module.
         "commands/affected_robots.py": ["subprocess.run"],
+        # The Python of another environment, in its isolated mode (-I): this one's path is not its.
+        "export/foreign_engine.py": ["subprocess.run"],
         "realization/confinement.py": ["os.execv"],
         # The workers of Dask are started by the user; functions are sent to them.
         "realization/executor.py": ["dask.Client"],

@@ -298,8 +298,8 @@ class Search:
             return best if best.score >= incumbent.score else None
         try:
             for _ in range(_SETTINGS_TOGETHER):
-                last, best = best, self._in_nearest_setting(best)
-                if best is last or self._is_noise(best):
+                best = self._in_nearest_setting(best)
+                if self._is_noise(best):
                     break
             is_right = self._is_noise(best)
         finally:
@@ -308,16 +308,13 @@ class Search:
         return best if is_right else None
 
     def _in_nearest_setting(self, model: Model) -> Model:
-        """The effects of a model in the setting that leaves least; the model if that is its own."""
-        own, tried = self.physics, list[tuple[Model, Physics]]()
+        """The effects of a model in the other setting that leaves least; without one, the model."""
+        own, fitted = self.physics, list[tuple[Model, Physics]]()
         for physics in own.other_settings(model.hypothesis, is_explained=False):
             self.physics = physics
-            tried.append((self.simulated(model.hypothesis, _SETTING), physics))
-        fitted = [(model, own)]
-        for each, physics in sorted(tried, key=self._noise_ratio)[:_FITTED_SETTINGS]:
-            self.physics = physics
-            fitted.append((self._fitted(each), physics))
-        best, self.physics = min(fitted, key=self._noise_ratio)
+            fitted.append((self._fitted(self.simulated(model.hypothesis, _SETTING)), physics))
+        # It may leave more than the own one, if two settings are wrong.
+        best, self.physics = min(fitted, key=self._noise_ratio, default=(model, own))
         return best
 
     @staticmethod
