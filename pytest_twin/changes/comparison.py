@@ -116,8 +116,9 @@ def _explained_share(own: FloatArray, left: FloatArray, added: FloatArray) -> fl
     evidence about it.
 
     Args:
-        own: (joints,) squared effort of the change.
-        left, added: (joints,) significant additional squared residual after and before the changes.
+        own: (joints,) squared effort of the change, relative to the residual that is expected.
+        left, added: (joints,) significant additional squared residual after and before the changes,
+            relative to the same.
     """
     weight = np.minimum(own / np.maximum(added, np.finfo(float).tiny), 1.0)
     whole = float(weight @ added)

@@ -11,7 +11,7 @@ from linear_physics import EFFECTS, FLOOR, LinearPhysics, drawn_physics, permute
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.search.accept import accepts
-from pytest_twin.diagnosis.search.model import Model
+from pytest_twin.diagnosis.search.model import Model, Pool, PooledModel, evidence_of
 from pytest_twin.diagnosis.search.physics import Physics
 from pytest_twin.diagnosis.search.posterior import MOST_WITH_ONE_RECORDING, posterior
 from pytest_twin.diagnosis.search.search import Search, SearchOutcome
@@ -328,3 +328,26 @@ def test_a_richer_model_with_the_same_prediction_is_not_accepted() -> None:
 def test_the_noise_floor_of_the_drawn_problems_is_that_of_their_noise() -> None:
     physics = drawn_physics(0)
     assert physics.measured.std(axis=0) == pytest.approx([FLOOR, FLOOR], rel=0.1)
+
+
+@pytest.mark.parametrize(("worse", "share"), [(1.0, 0.5), (-1.0, 0.05)])
+def test_a_rival_that_fits_better_is_likelier_only_if_it_predicts_better(
+    worse: float, share: float
+) -> None:
+    """Its evidence is larger by log(20); its cross-validated score is lower, or higher."""
+    friction, delay = Term("viscous_friction", 0), Term("command_delay", 0)
+    found = searched(drawn_physics(0, truth={friction: 0.2}, disturbance=3.0))
+    incumbent = found.incumbent
+    assert set(incumbent.hypothesis.terms) == {friction}
+    rival = PooledModel(
+        truth_of({delay: 0.02}), incumbent.size,
+        evidence_of(found.comparison, incumbent.mean_square, incumbent.size) + np.log(20.0),
+        score=incumbent.score - worse,
+    )  # fmt: skip
+
+    class OneRival(Pool):
+        def rivals_of(self, incumbent: Model) -> Iterator[PooledModel]:
+            yield rival
+
+    shares = posterior(replace(found, pool=OneRival(found.comparison)))
+    assert shares.confidence[friction] == pytest.approx(share, abs=0.01)
