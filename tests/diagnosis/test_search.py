@@ -196,11 +196,20 @@ def test_a_search_that_a_limit_ends_is_sure_if_noise_remains_and_all_rivals_were
 
 
 @dataclass
-class EarlyPhysics(LinearPhysics):
+class SettledPhysics(LinearPhysics):
+    """A robot with other settings of its simulation."""
+
+    others: list[Physics] = field(default_factory=list)
+
+    def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
+        yield from self.others
+
+
+@dataclass
+class EarlyPhysics(SettledPhysics):
     """A robot whose first fit of a set of effects ends at the noise floor, above the noise."""
 
     begun: set[frozenset[Term]] = field(default_factory=set)
-    others: list[Physics] = field(default_factory=list)
 
     @property
     def noise(self) -> FloatArray:
@@ -221,9 +230,6 @@ class EarlyPhysics(LinearPhysics):
             left = self.measured - self.change(found)
         return found, left, jacobian
 
-    def other_settings(self, hypothesis: Hypothesis, *, is_explained: bool) -> Iterator[Physics]:
-        yield from self.others
-
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_fit_that_ended_early_is_no_reason_for_another_setting(seed: int) -> None:
@@ -237,6 +243,23 @@ def test_a_fit_that_ended_early_is_no_reason_for_another_setting(seed: int) -> N
     found = searched(own)
     assert found.physics is own
     assert terms_of(found) == set(drawn_truth(seed, 2))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("disturbance", "is_adopted"), [(20.0, False), (0.0, True)])
+def test_a_setting_that_fits_little_of_a_large_residual_is_not_adopted(
+    seed: int, disturbance: float, is_adopted: bool
+) -> None:
+    """The other setting explains a slow error of 3 noise floors, alone or beside a larger one."""
+    truth = drawn_truth(seed, 2)
+    error = drawn_physics(seed, disturbance=3.0, noise=0.0).measured
+    rest = drawn_physics(seed, truth=truth, disturbance=disturbance)
+    own, other = (
+        SettledPhysics(rest.joints, measured, rest.responses, rest.lengths, rest.recordings)
+        for measured in (rest.measured + error, rest.measured)
+    )
+    own.others.append(other)
+    assert (searched(own).physics is other) is is_adopted
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -332,14 +332,24 @@ class Search:
         reduced = (own.without(t) for t in own.terms if len(own.terms) > 1)
         is_explained = not self._exceeds(incumbent, VERDICT.identifiable)
         others = self.physics.other_settings(own, is_explained=is_explained)
-        return self._with_setting(others, [own, *filter(self._is_allowed, reduced)], incumbent)
+        return self._with_setting(
+            others, [own, *filter(self._is_allowed, reduced)], incumbent, INTEGRATOR.left
+        )
 
     def _with_setting(
-        self, others: Iterable[Physics], hypotheses: Sequence[Hypothesis], incumbent: Model
+        self,
+        others: Iterable[Physics],
+        hypotheses: Sequence[Hypothesis],
+        incumbent: Model,
+        most_left: float = np.inf,
     ) -> Model | None:
         """The best of some hypotheses with another setting, if it explains more.
 
         The setting is then that of all further models.
+
+        Args:
+            most_left: largest share of the squared residual above the floor that may remain, if
+                more than noise does: a wrong setting too fits a little of a large residual.
         """
         own, tried = incumbent.hypothesis, list[tuple[Physics, Model]]()
         for physics in others:
@@ -358,7 +368,14 @@ class Search:
                     self.physics = present
                 raise
             least = self.settings.earns if model.hypothesis is own else 0.0
-            if accepted is not None and accepted.score > incumbent.score + least:
+            if (
+                accepted is not None
+                and accepted.score > incumbent.score + least
+                and (
+                    not self._exceeds(accepted, VERDICT.at_floor)
+                    or self._above_floor(accepted) <= most_left * self._above_floor(incumbent)
+                )
+            ):
                 return accepted
             self.physics = present
         return None
@@ -670,6 +687,10 @@ class Search:
     ) -> Model:
         size = self.physics.size(hypothesis)
         return Model.of(self.comparison, hypothesis, residual, size, origin, corrected_at)
+
+    def _above_floor(self, model: Model) -> float:
+        """Squared residual above the noise floor, in floors, the sum over signals."""
+        return float(np.maximum(model.mean_square / self.comparison.floor**2 - 1.0, 0.0).sum())
 
     def _exceeds(self, model: Model, floors: float) -> bool:
         return bool((model.mean_square > (floors * self.comparison.floor) ** 2).any())
