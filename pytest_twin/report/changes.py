@@ -135,7 +135,14 @@ def headline(document: Mapping[str, Any]) -> str:
     text = _VERDICT[document["verdict"]].format(names)
     if document["findings"] and _is_as_before(document):
         text += "; everything else as before"
+    if document["verdict"] == "no_change" and (larger := _larger(document)):
+        text = f"No significant change, but a larger error than before at {list_names(larger)}"
     return text
+
+
+def _larger(document: Mapping[str, Any]) -> list[str]:
+    """Joints whose residual is larger than before, though no more than chance may explain."""
+    return [joint for joint, error in _residuals(document)[1].items() if not _is_usual(error)]
 
 
 def _from_to(finding: Mapping[str, Any]) -> str:

@@ -89,6 +89,21 @@ def test_the_first_line_says_how_likely_a_name_is(confidence: float, words: str)
     assert headline(document) == f"Changed: {words}"
 
 
+@pytest.mark.parametrize(
+    ("after", "words"),
+    [
+        (1.2, "Nothing changed that these recordings show"),
+        (2.2, "No significant change, but a larger error than before at elbow"),
+    ],
+)
+def test_the_first_line_says_if_an_unchanged_robot_is_predicted_worse(
+    after: float, words: str
+) -> None:
+    residual = {"elbow": {"rms_usual": 1.0, "rms_after": after}}
+    document = {"verdict": "no_change", "findings": [], "position": residual}
+    assert headline(document) == words
+
+
 def test_held_out_recordings_test_the_change(robot: Path, tmp_path: Path) -> None:
     new = record(tmp_path, "new.csv", 11, damping=3.0)
     held_out = record(tmp_path, "held_out.csv", 12, damping=3.0)
