@@ -10,9 +10,9 @@ import numpy as np
 from pytest_twin.audit.asset import Asset, Joint, Vector
 from pytest_twin.audit.finding import Finding, finding_of
 
-_GRAVITY = 9.81
+GRAVITY = 9.81
 """m/s^2."""
-_LIFTS = 30.0
+MOST_LIFTS = 30.0
 """Efforts that lift the whole robot this many times at its full length are no motor's. Of 68 public
 robots, those above it state the placeholder 1000 N*m or 50000 N*m; the strongest real motor lifts
 its robot 10 times."""
@@ -59,7 +59,7 @@ def check(asset: Asset) -> Iterator[Finding]:
         return
     placed = asset.at({joint.name: _nearest_to_zero(joint) for joint in asset.joints})
     carried = _loads(asset, placed)
-    weight = _GRAVITY * sum(load.mass for name, load in carried.items() if name in asset.roots)
+    weight = GRAVITY * sum(load.mass for name, load in carried.items() if name in asset.roots)
     length = (
         max((float(np.linalg.norm(load.com)) for load in carried.values()), default=0.0)
         + asset.span
@@ -69,7 +69,7 @@ def check(asset: Asset) -> Iterator[Finding]:
         if not joint.is_scalar or not joint.effort or joint.body not in carried:
             continue
         most = weight * (length if joint.kind == "hinge" else 1.0)
-        if joint.effort > _LIFTS * most > 0:
+        if joint.effort > MOST_LIFTS * most > 0:
             yield finding_of(
                 "joints.effort_units",
                 joint.place,
@@ -79,7 +79,7 @@ def check(asset: Asset) -> Iterator[Finding]:
                 f"{joint.effort / most:.0f} times"
                 + (" at its full length" if joint.kind == "hinge" else ""),
                 unit=joint.effort_unit,
-                expected=f"less than {_LIFTS * most:.3g} {joint.effort_unit}",
+                expected=f"less than {MOST_LIFTS * most:.3g} {joint.effort_unit}",
             )
         if joint.name not in followers:
             yield from _too_weak(joint, carried[joint.body], *placed[joint.body])
@@ -102,7 +102,7 @@ def _too_weak(joint: Joint, load: Load, position: Vector, rotation: Vector) -> I
     """
     effort = joint.effort or 0.0
     axis = rotation @ joint.axis
-    weight = _GRAVITY * load.mass
+    weight = GRAVITY * load.mass
     if joint.kind == "slide":
         needed = weight * abs(float(axis[2]))
     else:

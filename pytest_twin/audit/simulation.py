@@ -10,14 +10,13 @@ import numpy as np
 
 from pytest_twin.audit.asset import Vector
 from pytest_twin.audit.finding import Finding, Place, finding_of
+from pytest_twin.audit.loads import GRAVITY, MOST_LIFTS
 
 _GRAVITY = (1.0, 20.0)
 """m/s^2: downwards, from the Moon to twice the Earth."""
 _TIME_STEP = 0.05
 """s: no engine holds a contact of a robot at larger steps."""
 _TURN = 2 * math.pi
-_LIFTS = 30.0
-"""Times the torque that the whole robot's weight has at its full extent; as for a URDF."""
 _SLOW = 0.1
 """rad/s: a joint whose damping takes its whole effort below this speed cannot be used."""
 _SLACK = 0.02
@@ -111,7 +110,7 @@ class _Joint:
         if most is None or most <= 0:
             return
         weight = abs(float(weights[self.dof]))
-        whole = 9.81 * float(model.body_subtreemass[0])
+        whole = GRAVITY * float(model.body_subtreemass[0])
         whole *= float(model.stat.extent) if self.is_hinge else 1.0
         if most < weight:
             yield finding_of(
@@ -124,7 +123,7 @@ class _Joint:
                 unit=self.effort_unit,
                 expected=f"more than {weight:.3g} {self.effort_unit}",
             )
-        elif most > _LIFTS * whole > 0:
+        elif most > MOST_LIFTS * whole > 0:
             yield finding_of(
                 "joints.effort_units",
                 self.place,
@@ -132,7 +131,7 @@ class _Joint:
                 most,
                 title=f"its drive would lift the whole robot {most / whole:.0f} times",
                 unit=self.effort_unit,
-                expected=f"less than {_LIFTS * whole:.3g} {self.effort_unit}",
+                expected=f"less than {MOST_LIFTS * whole:.3g} {self.effort_unit}",
             )
         friction = float(model.dof_frictionloss[self.dof])
         if friction >= most:

@@ -65,7 +65,7 @@ from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.serial_chain import SerialChain, load_serial_chain
 from pytest_twin.time_limit import is_over, limited
 
-MOST_OUTLIERS = 0.25
+_MOST_OUTLIERS = 0.25
 """Fraction of the fitted measurements that may be left out of an accepted calibration."""
 
 GROSS_RATIO = 6.0
@@ -478,7 +478,7 @@ def _many_outliers(fit: Fit) -> list[str]:
         f"{count} of {len(kept)} measurements of {term.name} do not agree with the others: what is "
         "wrong with them may be wrong with all; see excluded"
         for term, kept, count in zip(fit.problem.terms, fit.kept, left_out, strict=True)
-        if count > MOST_OUTLIERS * len(kept)
+        if count > _MOST_OUTLIERS * len(kept)
     ]
 
 

@@ -92,26 +92,17 @@ def _residuals(found: SimulatedChanges, units: Sequence[str]) -> dict[str, dict[
     the changes.
     """
     joints = found.laws.joints
-    new = {trial.path for trial in found.new}
-    usual, now = (
-        np.sqrt(
-            np.mean(
-                np.concatenate(
-                    [p.effort**2 for p in found.laws.parts if (p.recording.path in new) is is_new]
-                ),
-                axis=0,
-            )
-        )
-        for is_new in (False, True)
-    )
-    after = now
-    if found.found is not None:
-        # The rows of the comparison are means over short times, which average the noise.
+    if found.found is None:
+        usual, now = _rms_of_rows(found)
+        after = now
+    else:
         known, tested = found.known.found, found.found.tested
-        at_test, of_test = tested.prepared.problem, tested.prepared.problem.tested_segments
-        usual = _rms_errors(joints, known.prepared.problem, known.explanation.hypothesis)
-        now = _rms_errors(joints, at_test, EMPTY, of_test)
-        after = _rms_errors(joints, at_test, tested.explanation.hypothesis, of_test)
+        earlier, later = known.prepared.problem, tested.prepared.problem
+        usual = _rms_errors(joints, earlier, known.explanation.hypothesis, earlier.fit)
+        now, after = (
+            _rms_errors(joints, later, hypothesis, later.tested_segments)
+            for hypothesis in (EMPTY, tested.explanation.hypothesis)
+        )
     return {
         joint: {
             "rms_usual": number(usual[j]), "rms_before": number(now[j]),
@@ -121,22 +112,32 @@ def _residuals(found: SimulatedChanges, units: Sequence[str]) -> dict[str, dict[
     }  # fmt: skip
 
 
-def _rms_errors(
-    joints: Sequence[str],
-    problem: Problem,
-    hypothesis: Hypothesis,
-    segments: NDArray[np.int64] | None = None,
-) -> FloatArray:
-    """(joints,) RMS error of the positions, rad or m; NaN at a joint that the problem lacks.
+def _rms_of_rows(found: SimulatedChanges) -> tuple[FloatArray, FloatArray]:
+    """(joints,) RMS error in the earlier and in the new rows, rad or m.
 
-    Args:
-        segments: those of the recordings; the fitted ones by default.
+    The rows are means over short times, which average the noise.
     """
-    which = problem.fit if segments is None else segments
-    (errors,) = problem.at(hypothesis).errors([hypothesis], which)
-    rms = np.sqrt(np.mean(errors**2, axis=0))
-    return np.array([rms[problem.joints.index(j)] if j in problem.joints else np.nan
-                     for j in joints])  # fmt: skip
+    new = {trial.path for trial in found.new}
+    earlier, later = (
+        np.concatenate(
+            [part.effort for part in found.laws.parts if (part.recording.path in new) is is_new]
+        )
+        for is_new in (False, True)
+    )
+    return _rms(earlier), _rms(later)
+
+
+def _rms_errors(
+    joints: Sequence[str], problem: Problem, hypothesis: Hypothesis, segments: NDArray[np.int64]
+) -> FloatArray:
+    """(joints,) RMS error of the positions, rad or m; NaN at a joint that the problem lacks."""
+    (errors,) = problem.at(hypothesis).errors([hypothesis], segments)
+    of_problem = dict(zip(problem.joints, _rms(errors), strict=False))
+    return np.array([of_problem.get(joint, np.nan) for joint in joints])
+
+
+def _rms(values: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def _repeated(motion: RepeatedMotion, units: Mapping[str, str]) -> dict[str, Any]:
@@ -219,7 +220,7 @@ def _new_in_positions(found: SimulatedChanges, finding: Finding) -> dict[str, An
     assert found.found is not None
     tested = found.found.tested
     problem, best = tested.prepared.problem, tested.explanation.hypothesis
-    own = next(
+    term = next(
         (
             t for t in best.terms
             if t.effect == finding.effect
@@ -227,12 +228,12 @@ def _new_in_positions(found: SimulatedChanges, finding: Finding) -> dict[str, An
         ),
         None,
     )  # fmt: skip
-    if own is None:
+    if term is None:
         # The test recordings lack its joint.
         return {}
     segments, joints = problem.tested_segments, len(problem.joints)
     without, changed = (
-        problem.at(h).errors([h], segments)[0][:, :joints] for h in (best.without(own), best)
+        problem.at(h).errors([h], segments)[0][:, :joints] for h in (best.without(term), best)
     )
     predicted = np.nan_to_num(without - changed)
     row, j = np.unravel_index(np.abs(predicted).argmax(), predicted.shape)

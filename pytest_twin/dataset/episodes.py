@@ -78,18 +78,18 @@ def _unlike(
         return
     frames = 0.0 if usual.lag is None else usual.lag / period
     centre = float(np.median(usual.by_episode))
-    apart = []
+    distances = []
     for state, action in zip(motion.state, motion.action, strict=True):
         states, actions = aligned(Motion([state], [action]), frames)
-        apart.append(float(np.sqrt(np.mean((states - actions - centre) ** 2))))
-    limit = max(_APART, _TIMES * float(np.median(apart)))
-    others = [at for at, value in enumerate(apart) if value > limit]
-    if not others or 2 * len(others) > len(apart):
+        distances.append(float(np.sqrt(np.mean((states - actions - centre) ** 2))))
+    limit = max(_APART, _TIMES * float(np.median(distances)))
+    others = [at for at, value in enumerate(distances) if value > limit]
+    if not others or 2 * len(others) > len(distances):
         return
-    worst = max(others, key=lambda at: apart[at])
+    worst = max(others, key=lambda at: distances[at])
     yield Finding(
         "unlike_others",
-        f"its states are up to {apart[worst] * scale:.0f} {unit} (RMS) from where the other "
+        f"its states are up to {distances[worst] * scale:.0f} {unit} (RMS) from where the other "
         "episodes have them for such actions",
         "another zero, sign, order of joints, lag or unit in these episodes; a collision",
         name,
@@ -164,13 +164,12 @@ def _copies(motions: Mapping[str, Motion], numbers: Sequence[int]) -> Iterator[F
     ]
     copied: dict[int, int] = {}
     first: dict[bytes, int] = {}
-    for number, states in zip(numbers, episodes, strict=True):
+    for at, states in enumerate(episodes):
         if len(states) < _SHORTEST or not np.ptp(states, axis=0).any():
             continue
-        key = states[:_SHORTEST].tobytes()
-        earlier = first.setdefault(key, number)
-        if earlier != number and _starts_alike(states, episodes[list(numbers).index(earlier)]):
-            copied[number] = earlier
+        earlier = first.setdefault(states[:_SHORTEST].tobytes(), at)
+        if earlier != at and _starts_alike(states, episodes[earlier]):
+            copied[numbers[at]] = numbers[earlier]
     if copied:
         yield Finding(
             "copied_episode",

@@ -16,6 +16,11 @@ def in_noise_floors(residual: FloatArray, floor: FloatArray) -> FloatArray:
     return np.where(np.isfinite(level), level, np.inf)
 
 
+def excess(squares: FloatArray) -> float:
+    """Sum of squared levels beyond the noise; ``squares`` are in squared noise floors."""
+    return float(np.maximum(squares - 1.0, 0.0).sum())
+
+
 def label(problem: Problem, term: Term) -> str:
     """Effect and joint in words."""
     joint = joint_name(problem, term)

@@ -48,15 +48,15 @@ def not_separated(finding: Mapping[str, Any]) -> list[dict[str, Any]]:
         {"name": "+".join(_names(one)), "confidence": one["confidence"]}
         for one in (finding, *finding["alternatives"])
     ]
-    own = names[0]
+    of_finding = names[0]
     names.sort(key=lambda one: -float(one["confidence"]))
     share = 0.0
     for count, one in enumerate(names, 1):
         share += one["confidence"]
         if share >= NEEDED_SHARE:
             listed = names[:count]
-            # A name that is unlikely beside another one is stated with it.
-            listed += [] if own in listed else [own]
+            # The finding's own name is listed, even where the others have the 90 %.
+            listed += [] if of_finding in listed else [of_finding]
             return listed if len(listed) > 1 else []
     likely = [one for one in names if one["confidence"] >= _LIKELY]
     return likely if len(likely) > 1 else []

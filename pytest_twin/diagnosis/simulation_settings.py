@@ -21,7 +21,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.noise_levels import in_noise_floors
+from pytest_twin.diagnosis.noise_levels import excess, in_noise_floors
 from pytest_twin.diagnosis.prepare import NOISE, STEP, PreparedProblem
 from pytest_twin.diagnosis.prepare_settings import PREPARE
 from pytest_twin.diagnosis.problem import Problem
@@ -123,7 +123,7 @@ def _substeps_by_nominal_model(prepared: PreparedProblem) -> int:
     }
     best = min(left, key=lambda k: float(left[k].max()))
     only_noise = bool((left[best] < VERDICT.identifiable**2).all())
-    above = [float(np.maximum(x - 1.0, 0.0).sum()) for x in (left[best], before)]
+    above = [excess(x) for x in (left[best], before)]
     is_visible = bool((before > VERDICT.identifiable**2).any())
     return best if only_noise and is_visible and above[0] <= INTEGRATOR.left * above[1] else 0
 
@@ -178,7 +178,5 @@ def _reduces_residual(problem: Problem, left: FloatArray, than: FloatArray, shar
 
     Both are summed over joints.
     """
-    new, old = (
-        np.maximum(_position_levels(problem, x) ** 2 - 1.0, 0.0).sum() for x in (left, than)
-    )
-    return bool(new <= share * old)
+    new, old = (excess(_position_levels(problem, x) ** 2) for x in (left, than))
+    return new <= share * old

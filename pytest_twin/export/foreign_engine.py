@@ -113,7 +113,7 @@ def _joint_commands(
     controls = np.empty((run.steps, model.nu + model.nv))
     run.controls(0, run.steps, controls)
     commands, modes = np.zeros((run.steps, len(joints))), []
-    for column, _ in enumerate(joints):
+    for column in range(len(joints)):
         at, mode = int(layout.actuator[column]), str(layout.servo[column])
         modes.append(mode if at >= 0 else "")
         if at >= 0:

@@ -133,15 +133,16 @@ def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict as a sentence."""
     names = "; ".join(_from_to(finding) for finding in document["findings"])
     text = _VERDICT[document["verdict"]].format(names)
-    if document["findings"] and _is_as_before(document):
+    larger = _larger(document)
+    if document["findings"] and not larger:
         text += "; everything else as before"
-    if document["verdict"] == "no_change" and (larger := _larger(document)):
+    if document["verdict"] == "no_change" and larger:
         text = f"No significant change, but a larger error than before at {list_names(larger)}"
     return text
 
 
 def _larger(document: Mapping[str, Any]) -> list[str]:
-    """Joints whose residual is larger than before, though no more than chance may explain."""
+    """Joints whose residual is larger than before, with the changes."""
     return [joint for joint, error in _residuals(document)[1].items() if not _is_usual(error)]
 
 
@@ -163,11 +164,6 @@ def _from_to(finding: Mapping[str, Any]) -> str:
     )
     unit = finding["change"][key]["unit"]
     return f"{text}, {before.removesuffix(f' {unit}')} to {now}"
-
-
-def _is_as_before(document: Mapping[str, Any]) -> bool:
-    """Whether the residual of every joint is as usual with the changes."""
-    return all(_is_usual(error) for error in _residuals(document)[1].values())
 
 
 def _is_usual(error: Mapping[str, Any]) -> bool:

@@ -30,20 +30,20 @@ def clock_step(
         fit: fit without a drift.
         middle: time of the camera's clock at which the offset holds, s.
     """
-    found = residuals_of(hand, camera, seen, replace(fit, drift=0.0), middle)
-    count = len(found.error)
+    without_drift = residuals_of(hand, camera, seen, replace(fit, drift=0.0), middle)
+    count = len(without_drift.error)
     if count < 2 * _FEWEST:
         return ""
-    rate, error = np.nan_to_num(found.rate), found.error
+    rate, error = np.nan_to_num(without_drift.rate), without_drift.error
     order = np.linspace(-1.0, 1.0, count)[:, None]
     drifting = [rate, rate * order]
     with_drift, _ = _left(drifting, error)
     best: tuple[float, int, float] = (np.inf, 0, 0.0)
     for cut in range(_FEWEST, count - _FEWEST + 1):
         after = (np.arange(count) >= cut)[:, None] * rate
-        left, found_step = _left([*drifting, after], error)
+        left, (_, _, step) = _left([*drifting, after], error)
         if left < best[0]:
-            best = (left, cut, float(found_step[2]))
+            best = (left, cut, float(step))
     left, cut, step = best
     free = error.size - 3
     ratio = (with_drift - left) / max(left / free, 1e-300)
@@ -61,5 +61,5 @@ def clock_step(
 def _left(columns: list[FloatArray], error: FloatArray) -> tuple[float, FloatArray]:
     """Return the squared rest of (n, 3) errors after a least-squares fit, and its coefficients."""
     table = np.stack([column.ravel() for column in columns], axis=1)
-    found: FloatArray = np.linalg.lstsq(table, error.ravel(), rcond=None)[0].astype(np.float64)
-    return float(np.sum((error.ravel() - table @ found) ** 2)), found
+    coefficients = np.asarray(np.linalg.lstsq(table, error.ravel(), rcond=None)[0], dtype=float)
+    return float(np.sum((error.ravel() - table @ coefficients) ** 2)), coefficients

@@ -13,6 +13,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.intervals import ParameterUncertainty
+from pytest_twin.diagnosis.noise_levels import excess
 from pytest_twin.diagnosis.search.model import Model
 from pytest_twin.diagnosis.search.physics import Physics
 from pytest_twin.diagnosis.verdict_settings import VERDICT
@@ -139,8 +140,8 @@ def _remaining_share(before: FloatArray, after: FloatArray) -> float:
     """Share of the squared mismatch above the noise that remains; 0 where only noise remains."""
     if after.max() <= VERDICT.identifiable**2:
         return 0.0
-    mismatch = float(np.maximum(before - 1.0, 0.0).sum())
-    return float(np.maximum(after - 1.0, 0.0).sum()) / mismatch if mismatch > 0.0 else 0.0
+    mismatch = excess(before)
+    return excess(after) / mismatch if mismatch > 0.0 else 0.0
 
 
 def _signals_of(term: Term, joints: int, signals: int) -> slice:

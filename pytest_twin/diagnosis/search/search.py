@@ -14,6 +14,7 @@ import numpy as np
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.integrator_settings import INTEGRATOR
+from pytest_twin.diagnosis.noise_levels import excess
 from pytest_twin.diagnosis.search.accept import accepts
 from pytest_twin.diagnosis.search.fit import fit_along_motion, with_linearized_jacobians
 from pytest_twin.diagnosis.search.linearized_view import View
@@ -689,8 +690,7 @@ class Search:
         return Model.of(self.comparison, hypothesis, residual, size, origin, corrected_at)
 
     def _above_floor(self, model: Model) -> float:
-        """Squared residual above the noise floor, in floors, the sum over signals."""
-        return float(np.maximum(model.mean_square / self.comparison.floor**2 - 1.0, 0.0).sum())
+        return excess(model.mean_square / self.comparison.floor**2)
 
     def _exceeds(self, model: Model, floors: float) -> bool:
         return bool((model.mean_square > (floors * self.comparison.floor) ** 2).any())
