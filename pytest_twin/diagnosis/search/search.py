@@ -37,6 +37,8 @@ from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 _SETTING = "setting of the simulation"
 """Origin of a model with another one."""
+_CLEAR_ERRORS = 3.0
+"""Standard errors of a paired gain by which one friction constraint predicts clearly better."""
 _SETTINGS_TOGETHER = 2
 """Largest number of settings that are changed together: friction constraint and time step."""
 _FITTED_SETTINGS = 2
@@ -292,7 +294,7 @@ class Search:
             return None
         self._without_setting.append(effects)
         if self._is_noise(incumbent):
-            return None
+            return self._clearly_better_constraint(incumbent)
         # A fit ends at the floor. The other settings are fitted from there, and so is this one.
         best, present, is_right = self._fit(incumbent), self.physics, False
         if self._is_noise(best):
@@ -307,6 +309,24 @@ class Search:
             if not is_right:
                 self.physics = present
         return best if is_right else None
+
+    def _clearly_better_constraint(self, incumbent: Model) -> Model | None:
+        """A model that leaves noise alone, with the other friction constraint if that is better.
+
+        A model that lacked an effect may have decided for the wrong one, whose small error dry
+        friction and gains then take up.
+        """
+        present, chosen = self.physics, None
+        try:
+            for self.physics in present.other_friction_constraint(incumbent.hypothesis):
+                other = self._fitted(self.simulated(incumbent.hypothesis, _SETTING))
+                mean, error = self.comparison.gain(other.residual, incumbent.residual)
+                if mean > _CLEAR_ERRORS * error:
+                    chosen = other
+        finally:
+            if chosen is None:
+                self.physics = present
+        return chosen
 
     def _in_nearest_setting(self, model: Model) -> Model:
         """The effects of a model in the other setting that leaves least; without one, the model."""
