@@ -169,9 +169,11 @@ class InverseDynamics:
             (n, joints, joints) by position, by velocity, and by acceleration; the last index is
             the joint that moves.
         """
-        # Pinocchio divides by the mass of a link. Efforts are linear in it.
+        # Pinocchio divides by the mass of links and subtrees; some may be negative, and their sum
+        # zero. Efforts are linear in them.
+        light = parameters[:, _MASS] < _LEAST_MASS
         added = np.zeros_like(parameters)
-        added[np.abs(parameters[:, _MASS]) < _LEAST_MASS, _MASS] = 1.0
+        added[light, _MASS] = 1.0 - parameters[light, _MASS]
         states = self._states(position, velocity, acceleration, base)
         by_q, by_v, by_a = self._derivatives(states, parameters + added)
         if added.any():
