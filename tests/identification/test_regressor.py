@@ -159,7 +159,8 @@ def test_base_parameters_predict_the_same_effort_as_all_parameters(robot, tmp_pa
     ours = base.matrix(matrix) @ base.values(regressor.prior)
     whole = matrix @ regressor.prior
     # Columns that only the rounding of an exporter distinguishes are one; each may leave its share.
-    left = RANK_TOLERANCE * np.linalg.norm(matrix, axis=0) @ np.abs(regressor.prior)
+    sizes = np.linalg.norm(matrix, axis=(0, 1))
+    left = RANK_TOLERANCE * sizes @ np.abs(regressor.prior)
     assert np.linalg.norm(ours - whole) <= left
     reduced = base.matrix(matrix).reshape(-1, len(base))
     assert np.linalg.matrix_rank(reduced / np.linalg.norm(reduced, axis=0)) == len(base)
