@@ -58,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--engine",
         metavar="PYTHON",
         type=Path,
-        help="Python of an environment with the simulator's package (mjlab or drake): steps the "
-        "export on at most 20 s of the held-out recordings, and measures the loss",
+        help="Python of an environment with the simulator's package (mjlab, drake or newton): "
+        "steps the export on at most 20 s of the held-out recordings, and measures the loss",
     )
     model_files.add_arguments(parser)
 

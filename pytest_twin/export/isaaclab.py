@@ -23,6 +23,13 @@ Use them as ``ArticulationCfg(actuators=actuators(sim_dt))``.
 
 from isaaclab.actuators import DCMotorCfg, DelayedPDActuatorCfg, IdealPDActuatorCfg
 
+# Isaac Lab 3.0 gave both limits of an actuator other names.
+PREFIX = "actuator_" if hasattr(IdealPDActuatorCfg, "actuator_effort_limit") else ""
+
+
+def limits(**values):
+    return {{PREFIX + name: value for name, value in values.items()}}
+
 
 def actuators(physics_dt={timestep}):
     """Configurations for a physics time step in s: delays are whole steps."""
@@ -39,9 +46,7 @@ def _call(row: DriveRow) -> str:
     kind, more = "IdealPDActuatorCfg", ""
     if row.stall > 0.0:
         kind = "DCMotorCfg"
-        more = arguments(
-            saturation_effort=number(row.stall), velocity_limit=number(row.no_load_speed)
-        )
+        more = arguments(saturation_effort=number(row.stall))
     elif row.delay > 0.0:
         kind = "DelayedPDActuatorCfg"
         delay = f"steps({number(row.delay)})"
@@ -49,16 +54,19 @@ def _call(row: DriveRow) -> str:
     limit = row.effort_limit
     if row.stall > 0.0:
         limit = row.stall if limit is None else min(limit, row.stall)
+    speed = number(row.no_load_speed) if row.stall > 0.0 else None
+    limits = arguments(effort_limit=number(limit), velocity_limit=speed)
     fields = arguments(
         joint_names_expr=repr([re.escape(row.joint)]),
         stiffness=number(row.stiffness),
         damping=number(row.damping),
-        effort_limit=number(limit),
         armature=number(row.armature),
         friction=number(row.stiction),
         dynamic_friction=number(row.friction),
         viscous_friction=number(row.viscous),
     )
+    if limits:
+        more += f"{', ' if more else ''}**limits({limits})"
     return f"{row.joint!r}: {kind}({fields}{', ' if more else ''}{more})"
 
 

@@ -99,7 +99,7 @@ def _actuator(row: DriveRow, timestep: float) -> str:
 
 TARGET = ConfigTarget(
     file="newton_actuators.usda",
-    engine="newton-usd-schemas 0.6",
+    engine="newton 1.8",
     render=_render,
     written={
         "gains": "NewtonPDControlAPI kp, kd",
@@ -113,7 +113,9 @@ TARGET = ConfigTarget(
     },
     approximated={},
     modes=("position", "velocity", "effort"),
-    actuators="kept",
+    # Those of the layer act; kept ones would act too.
+    actuators="none",
+    stepper="step_newton.py",
 )
 
 

@@ -48,7 +48,7 @@ TARGETS: Mapping[str, str] = {
 }
 """Target -> module with a function ``export``."""
 
-STEPPED = ("mjlab", "drake")
+STEPPED = ("mjlab", "drake", "newton")
 """Targets whose own simulator can measure the loss."""
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 import types
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +37,8 @@ EFFECTS: list[Effect] = [
     ("controller_gain", 1, {"stiffness_error": 0.3, "damping_error": -0.2}),
     ("torque_saturation", 0, {"inverse_limit": 1.0}),
 ]
+ISAACLAB_WHEELS = "TWIN_ISAACLAB_WHEELS"
+"""Environment variable with the wheels of Isaac Lab whose fields are compared, by os.pathsep."""
 # Fields of isaaclab.actuators in versions 2.3 and 3.0.
 BASE = {
     "joint_names_expr", "effort_limit", "velocity_limit", "effort_limit_sim", "velocity_limit_sim",
@@ -60,14 +65,20 @@ def exported(
     return out, json.loads((out / "export.json").read_text())
 
 
-def actuators(path: Path, monkeypatch: pytest.MonkeyPatch, step: float) -> dict[str, Any]:
+def actuators(
+    path: Path, monkeypatch: pytest.MonkeyPatch, step: float, *, version: int = 2
+) -> dict[str, Any]:
     """The configurations of a written module, with classes that only know their fields."""
+    renamed = {"effort_limit", "velocity_limit"}
 
     def recorded(name: str, fields: set[str]) -> Any:
         def make(**given: Any) -> dict[str, Any]:
             assert set(given) <= fields, set(given) - fields
             return {"class": name, **given}
 
+        if version == 3:
+            fields = fields - renamed | {f"actuator_{field}" for field in renamed}
+            vars(make)["actuator_effort_limit"] = None
         return make
 
     package = types.ModuleType("isaaclab.actuators")
@@ -82,6 +93,28 @@ def actuators(path: Path, monkeypatch: pytest.MonkeyPatch, step: float) -> dict[
     spec.loader.exec_module(module)
     found: dict[str, Any] = module.actuators(step)
     return found
+
+
+@pytest.mark.skipif(ISAACLAB_WHEELS not in os.environ, reason=f"{ISAACLAB_WHEELS} names no wheel")
+def test_the_published_classes_of_isaac_lab_have_these_fields() -> None:
+    for wheel in os.environ[ISAACLAB_WHEELS].split(os.pathsep):
+        with zipfile.ZipFile(wheel) as files:
+            names = [
+                n for n in files.namelist() if re.search(r"(^|/)isaaclab/actuators/\w+_cfg", n)
+            ]
+            classes = [c for n in names for c in ast.parse(files.read(n)).body
+                       if isinstance(c, ast.ClassDef)]  # fmt: skip
+        own = {c.name: {s.target.id for s in c.body if isinstance(s, ast.AnnAssign)
+                        and isinstance(s.target, ast.Name)} for c in classes}  # fmt: skip
+        bases = {c.name: [b.id for b in c.bases if isinstance(b, ast.Name)] for c in classes}
+        for name in ISAACLAB:
+            kinds = [name]
+            for kind in kinds:
+                kinds += bases.get(kind, [])
+            fields = set().union(*(own.get(kind, set()) for kind in kinds))
+            assert fields >= ISAACLAB[name], (wheel, name, ISAACLAB[name] - fields)
+            if "-3." in wheel:
+                assert {"actuator_effort_limit", "actuator_velocity_limit"} <= fields
 
 
 def test_isaac_lab_gets_gains_limits_friction_and_armature(
@@ -99,6 +132,19 @@ def test_isaac_lab_gets_gains_limits_friction_and_armature(
     assert right["armature"] == pytest.approx(0.007)
     assert right["dynamic_friction"] == pytest.approx(0.1)
     assert right["friction"] == pytest.approx(0.1)
+
+
+def test_isaac_lab_3_gets_the_limits_by_their_new_names(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motor = {"inverse_no_load_speed": 0.2, "stall": 1.5}
+    out, _ = exported(robot, tmp_path, "isaaclab", [("torque_speed_limit", 0, motor)])
+    old, new = (
+        actuators(out / "isaaclab_actuators.py", monkeypatch, 0.002, version=v)["left"]
+        for v in (2, 3)
+    )
+    for name in ("effort_limit", "velocity_limit"):
+        assert old[name] == new[f"actuator_{name}"] > 0.0
 
 
 def test_isaac_lab_gets_both_levels_of_stribeck_friction(
@@ -233,6 +279,19 @@ def test_newton_gets_a_layer_with_actuators_and_passive_forces(
     # Angular damping of joints is in N*m*s/deg.
     assert f"float newton:damping = {float(f'{np.radians(0.15):.9g}')}" in layer
     assert document["checked"] == "schema"
+
+
+@pytest.mark.skipif(NEWTON not in os.environ, reason=f"{NEWTON} names no environment with newton")
+@pytest.mark.parametrize(
+    "effects",
+    [EFFECTS, [("command_delay", 1, {"delay": 0.0213})]],
+    ids=["drives", "delay"],
+)
+def test_newton_follows_the_held_out_recording_as_the_diagnosed_model(
+    robot: Robot, tmp_path: Path, effects: list[Effect]
+) -> None:
+    for row in stepped(robot, tmp_path, "newton", os.environ[NEWTON], effects).values():
+        assert row["difference"] <= 0.05, row
 
 
 @pytest.mark.skipif(NEWTON not in os.environ, reason=f"{NEWTON} names no environment with newton")

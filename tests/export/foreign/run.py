@@ -2,8 +2,8 @@
 
     python tests/export/foreign/run.py FOLDER
 
-Each environment is made once in FOLDER, with uv: together 2.5 GB. Isaac Lab is not among them: it
-needs Isaac Sim.
+Each environment is made once in FOLDER, with uv: together 2.5 GB. Of Isaac Lab only the wheels are
+fetched, whose classes of actuators are compared: it runs with Isaac Sim or with a GPU.
 """
 
 from __future__ import annotations
@@ -30,5 +30,16 @@ for variable, packages in PACKAGES.items():
         subprocess.run(["uv", "venv", "--python", "3.11", str(place)], check=True)
         subprocess.run(["uv", "pip", "install", "--python", str(python), *packages], check=True)
     environment[variable] = str(python)
+wheels = folder / "isaaclab"
+for version, python in (("2.3.2.post1", "3.11"), ("3.0.0", "3.12")):
+    if not list(wheels.glob(f"isaaclab-{version}-*")):
+        subprocess.run(
+            [
+                sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:",
+                "--python-version", python, "--dest", str(wheels), f"isaaclab=={version}",
+            ],
+            check=True,
+        )  # fmt: skip
+environment["TWIN_ISAACLAB_WHEELS"] = os.pathsep.join(map(str, wheels.glob("*.whl")))
 tests = Path(__file__).parents[1]
 sys.exit(subprocess.run([sys.executable, "-m", "pytest", str(tests)], env=environment).returncode)
