@@ -29,6 +29,7 @@ from pytest_twin.installed import entry_points_by_name
 from pytest_twin.ranges_spec import RangesSpec, TrialGroup
 from pytest_twin.record_spec import RESULTS_WITH_MODELS, Unaffected, unaffected_of
 from pytest_twin.recording_options import NO_OPTIONS, RecordingOptions
+from pytest_twin.servos.prior import TwinServo
 
 FILE_NAME = "twin.yaml"
 PENDING_ROLLBACK = ".twin/rollback"
@@ -350,6 +351,7 @@ class Twin:
         controllers: id -> actuator -> attribute -> value.
         payloads: id -> body -> load.
         motors: motor type -> joints with motors of this type.
+        servos: what is known of the drives before any recording.
         parts: name -> declared part.
         calibration: calibration in use: ``calibration:``, updated by ``calibrations:`` and by the
             encoders of ``fit:``.
@@ -385,6 +387,7 @@ class Twin:
     controllers: Mapping[str, Mapping[str, Patch]] = field(default_factory=dict)
     payloads: Mapping[str, Mapping[str, Payload]] = field(default_factory=dict)
     motors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    servos: tuple[TwinServo, ...] = ()
     calibration: Calibration | None = None
     calibrated: Calibration | None = None
     stated: Calibration | None = None
@@ -621,6 +624,7 @@ class _Reader:
                 for name, bodies in data.get("payloads", {}).items()
             },
             motors=self._motors(),
+            servos=self._servos(),
             calibration=_with_identified_encoders(calibrated, _not_superseded(fits), self.path),
             calibrated=calibrated,
             stated=stated,
@@ -660,6 +664,26 @@ class _Reader:
                         expected=f"each joint once; it is also under {type_of[joint]}",
                     )  # fmt: skip
         return motors
+
+    def _servos(self) -> tuple[TwinServo, ...]:
+        servos = typed.build(self.data.get("servos", []), tuple[TwinServo, ...])
+        owners: dict[str, int] = {}
+        for at, servo in enumerate(servos):
+            for joint in servo.joints:
+                if owners.setdefault(joint, at) != at:
+                    raise self.section.error(
+                        f"servos.{at}.joints", "a joint has two servos", value=joint,
+                        expected=f"each joint once; it is also under servos.{owners[joint]}",
+                    )  # fmt: skip
+            for name, parameter in servo.parameters.items():
+                expected = parameter.expected_of(name)
+                if expected:
+                    raise self.section.error(
+                        f"servos.{at}.parameters.{name}", "wrong parameter of a servo",
+                        value=f"{parameter.value} {parameter.unit}, {list(parameter.ci95)}",
+                        expected=expected,
+                    )  # fmt: skip
+        return servos
 
     def _events(self) -> tuple[DeclaredEvent, ...]:
         found = []

@@ -23,6 +23,7 @@ from pytest_twin.formats import atomic
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.loaded_model import find_model
 from pytest_twin.report import identification
+from pytest_twin.report.priors import prior_sentences
 
 EXAMPLES = (
     "pytest-twin identify twin.yaml fourier.mcap --held-out check.mcap --out identified",
@@ -212,6 +213,7 @@ def _words(document: dict[str, Any], out: Path) -> list[str]:
         lines.append(f"  {stage['stage']}: {stage['state'].replace('_', ' ')}: {stage['why']}")
     lines += [f"error on {document['tested_on']}:"]
     lines += [f"  {line}" for line in identification.error_lines(document)]
+    lines += prior_sentences(document)
     if "estimator" in document:
         lines.append(f"{document['estimator']['name']}: {document['estimator']['why']}")
     if wider := document.get("bootstrap", {}).get("wider"):

@@ -20,7 +20,7 @@ from pytest_twin.commands.recording_arguments import (
 )
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import SpecError, TwinError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, typed
 from pytest_twin.formats.declared_inputs import declared_inputs, declaring
 from pytest_twin.formats.expansions import SUFFIX, model_stem
 from pytest_twin.gate.coverage import AUDIT
@@ -29,6 +29,7 @@ from pytest_twin.gate.runner import Runner
 from pytest_twin.realization.sandbox import Sandbox
 from pytest_twin.report.failure import what
 from pytest_twin.servos.library import find
+from pytest_twin.servos.prior import TwinServo
 from pytest_twin.setup import writing
 from pytest_twin.setup.anew import propose_anew
 from pytest_twin.setup.asset_files import ASSET, CopiedFiles, RobotFiles, copy_into_twin
@@ -87,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--servo",
         metavar="NAME",
         help="servo of all drives, from the library of identified servos (pytest-twin servo list): "
-        "its gains, limits and friction are written under fit:",
+        "its gains, limits and friction are written under fit:, and their intervals under servos:",
     )
     model_files.add_arguments(parser)
     xacro_files.add_arguments(parser)
@@ -227,6 +228,7 @@ def _set_up(
             excitation=seen["excitation"],
             servo=args.servo or "",
             servo_fit=_servo_fit(args.servo, seen["drives"], args.robot),
+            servos=_servos(args.servo, seen["drives"]),
         )
         twin_file = writing.write_twin_file(folder, first)
         writing.write_schemas(folder)
@@ -420,6 +422,14 @@ def _servo_fit(
         for family, values in found.fit(actuator, joint).items():
             merged.setdefault(family, {}).update(values)
     return merged
+
+
+def _servos(servo: str | None, drives: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Section ``servos:``: the parameters of a servo whose interval is known; empty without any."""
+    if servo is None:
+        return []
+    entry = TwinServo.of(find(servo), dict.fromkeys(drives.values()))
+    return [typed.plain(entry)] if entry.parameters else []
 
 
 def _reading(args: argparse.Namespace) -> dict[str, Any]:

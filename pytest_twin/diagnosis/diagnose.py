@@ -78,7 +78,7 @@ class Diagnosis:
         Args:
             realization: name of the nominal model.
         """
-        tested = self.tested.prepared
+        tested, priors = self.tested.prepared, self.explanation.priors
         return {
             "schema": 1,
             "verdict": self.verdict,
@@ -88,6 +88,7 @@ class Diagnosis:
             ],
             "small_corrections": [finding_json(f) for f in self.explanation.findings if f.small],
             "held_out": _errors_json(self.errors),
+            **({"priors": [use.to_json() for use in priors]} if priors else {}),
             "tested_windows": window_of_errors(tested.problem),
             "longest_windows": None
             if self.longest_windows is None

@@ -18,6 +18,7 @@ from pytest_twin.diagnosis.prepare import PreparedProblem
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.common_effects import idle_parameters
 from pytest_twin.diagnosis.search.posterior import AlternativeEffects, NamedModel
+from pytest_twin.diagnosis.servo_priors import PriorUse, combine
 from pytest_twin.diagnosis.small_corrections import small_corrections
 from pytest_twin.diagnosis.verdict import UNSEEN, JointError
 from pytest_twin.effects.base import Parameter
@@ -100,6 +101,8 @@ class Explanation:
         notes: one line each, for the reader.
         reduced_models: term -> hypothesis of the other terms, refitted without it.
         uncertainty: of the parameters of the fit; None without parameters.
+        priors: what became of the priors of the servos.
+        of_recordings: the uncertainty without them.
     """
 
     findings: tuple[Finding, ...]
@@ -107,6 +110,8 @@ class Explanation:
     notes: list[str] = field(default_factory=list)
     reduced_models: Mapping[Term, Hypothesis] = field(default_factory=dict)
     uncertainty: ParameterUncertainty | None = None
+    priors: tuple[PriorUse, ...] = ()
+    of_recordings: ParameterUncertainty | None = None
 
 
 def build_explanation(
@@ -122,9 +127,13 @@ def build_explanation(
     """
     hypothesis, posterior, notes = named.fitted.hypothesis, named.posterior, list(named.notes)
     if not hypothesis.terms:
-        return Explanation((), hypothesis, notes=notes)
+        none = parameter_uncertainty(prepared.problem, named.fitted)
+        unused = combine(prepared.problem, named.fitted, none).uses
+        return Explanation((), hypothesis, notes=notes, priors=unused)
     problem = prepared.problem.at(hypothesis)
-    uncertainty = parameter_uncertainty(problem, named.fitted, posterior.nearby)
+    of_recordings = parameter_uncertainty(problem, named.fitted, posterior.nearby)
+    combined = combine(problem, named.fitted, of_recordings)
+    hypothesis, uncertainty = combined.hypothesis, combined.uncertainty
     without_each = [hypothesis.without(t) for t in hypothesis.terms]
     residuals = problem.residuals([hypothesis, *named.reduced_models], problem.all_segments)
     changes = _prediction_changes(problem, [hypothesis, *without_each])
@@ -175,7 +184,10 @@ def build_explanation(
         )
     found.sort(key=lambda f: -f.influence)
     reduced_models = dict(zip(hypothesis.terms, named.reduced_models, strict=True))
-    return Explanation(tuple(found), hypothesis, notes, reduced_models, uncertainty)
+    return Explanation(
+        tuple(found), hypothesis, notes, reduced_models, uncertainty, combined.uses,
+        of_recordings,
+    )  # fmt: skip
 
 
 def _is_worth_listing(alternative: AlternativeEffects) -> bool:

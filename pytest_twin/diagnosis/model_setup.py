@@ -19,6 +19,7 @@ from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects.contact_geoms import ContactGeoms
 from pytest_twin.estimation.hypothesis import Scales
 from pytest_twin.realization import Realization
+from pytest_twin.servos.prior import priors_of
 from pytest_twin.trial import Trial
 
 
@@ -94,4 +95,6 @@ class ModelSetup:
                 self.has_friction_creep, self.substeps, scales,
             ),
         )  # fmt: skip
-        return replace(prepared, problem=replace(prepared.problem, mask=self.mask))
+        twin = self.realization.twin
+        priors = () if twin is None else tuple(priors_of(twin.servos))
+        return replace(prepared, problem=replace(prepared.problem, mask=self.mask, priors=priors))

@@ -7,6 +7,7 @@ A negative total compensates for another effect.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,16 +66,47 @@ _ADDED = {"damping": "viscous friction", "inertia": "armature", "stiffness": "sp
 """Quantity of a parameter that is added to the model's value -> name of the total."""
 
 
+_UNLIMITED = 1e8
+"""Effort above which a drive has no limit, N*m or N."""
+
+
+def own_values(problem: Problem) -> Mapping[str, FloatArray]:
+    """(joints,) values of the nominal model at the joints, SI units.
+
+    ``viscous``, ``friction``, ``armature`` and ``spring`` of the joint; ``stiffness``, ``damping``
+    and ``effort_limit`` of its servo, the last one as a reciprocal. ``is_one`` is whether the servo
+    is the same in all recordings.
+    """
+    known = problem.memory.own_values
+    if not known:
+        model, layout = problem.simulator.segments[0].model, problem.simulator.layout
+        drives = problem.simulator.models.world(problem.all_segments)
+        limit = np.minimum(drives.upper, -drives.lower)
+        of_servo = {
+            "stiffness": drives.stiffness,
+            "damping": drives.damping,
+            "effort_limit": np.where(limit < _UNLIMITED, 1.0 / np.maximum(limit, 1e-12), 0.0),
+        }
+        known |= {
+            "viscous": model.dof_damping[layout.dof_index],
+            "armature": model.dof_armature[layout.dof_index],
+            "spring": model.jnt_stiffness[layout.joint_ids],
+            "friction": model.dof_frictionloss[layout.dof_index],
+            **{name: values[0] for name, values in of_servo.items()},
+            "is_one": np.all([np.ptp(v, axis=0) == 0.0 for v in of_servo.values()], axis=0),
+        }
+    return known
+
+
 def totals(problem: Problem, hypothesis: Hypothesis) -> list[Total]:
     """The total of every quantity that an effect of the hypothesis corrects."""
-    model = problem.simulator.segments[0].model
-    layout = problem.simulator.layout
     own = {
-        "damping": model.dof_damping[layout.dof_index],
-        "inertia": model.dof_armature[layout.dof_index],
-        "stiffness": model.jnt_stiffness[layout.joint_ids],
-        "dry friction": model.dof_frictionloss[layout.dof_index],
-    }
+        quantity: own_values(problem)[name]
+        for quantity, name in (
+            ("damping", "viscous"), ("inertia", "armature"), ("stiffness", "spring"),
+            ("dry friction", "friction"),
+        )
+    }  # fmt: skip
     parts: dict[tuple[str, int], list[tuple[Term, int, float]]] = {}
     differences: dict[tuple[str, int], list[tuple[Term, int, float]]] = {}
     typical: dict[tuple[str, int], float] = {}

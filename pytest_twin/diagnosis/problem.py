@@ -19,6 +19,7 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.estimation.deadline import check_deadline
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales, Term, effect_values
+from pytest_twin.servos.prior import ParameterPrior
 
 T = TypeVar("T")
 # Hypotheses whose discretization errors are kept in memory.
@@ -107,11 +108,13 @@ class ProblemMemory:
         corrections: hypothesis -> its corrections, the latest last.
         cached: last result of :meth:`Problem.cached`, with all that it depends on.
         steps_for_initial_states: number of simulated steps that free initial states have cost.
+        own_values: values of the nominal model at the joints, SI units.
     """
 
     corrections: dict[_Key, _Corrections] = field(default_factory=dict)
     cached: tuple[tuple[object, ...], Any] | None = None
     steps_for_initial_states: int = 0
+    own_values: dict[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +143,7 @@ class Problem:
             is corrected by it (defect correction, Stetter 1978).
         step_left: share of the discretization error that remains after the correction, 0 to 1.
         mask: effects that are candidates; None for all.
+        priors: what the twin knows of its servos before any recording.
         starts: segment -> free initial state of the same hypothesis, if an error of the initial
             state would grow.
         find_starts: computes ``starts`` for a hypothesis; None if all initial states are fixed.
@@ -163,6 +167,7 @@ class Problem:
     start_noise: FloatArray = field(default_factory=lambda: np.zeros(0))
     step_left: float = PREPARE.step_left
     mask: CandidateMask | None = None
+    priors: tuple[ParameterPrior, ...] = ()
     memory: ProblemMemory = field(default_factory=ProblemMemory, repr=False)
 
     @property

@@ -12,7 +12,7 @@ depends on another model.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +41,15 @@ class IncomparableModelsError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Number of effects and of estimated parameters of a model."""
+    """Number of effects and of estimated parameters of a model.
+
+    Attributes:
+        surprise: minus the log-density of its parameters under what was known of them before.
+    """
 
     effects: int
     parameters: int
+    surprise: float = field(default=0.0, compare=False)
 
     def is_richer_than(self, other: Size) -> bool:
         """Whether a model of this size has more effects, or as many with more parameters."""
@@ -124,7 +129,9 @@ class Comparison:
         """Penalty of the log-likelihood for the effects and parameters of a model."""
         for_parameter = 0.5 * np.log(max(float(self.independent.mean()), 2.0))
         return float(
-            for_parameter * size.parameters + np.log(max(self.candidates, 1)) * size.effects
+            for_parameter * size.parameters
+            + np.log(max(self.candidates, 1)) * size.effects
+            + size.surprise
         )
 
     def log_likelihood(self, mean_square: FloatArray, floors: float = 1.0) -> float:

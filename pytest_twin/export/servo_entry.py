@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
+from pytest_twin.effects.actuation import ControllerGain, TorqueSaturation
+from pytest_twin.effects.friction import CoulombFriction, ViscousFriction
+from pytest_twin.effects.rigid_body import Armature
 from pytest_twin.errors import SpecError
 from pytest_twin.export.drive_table import DRIVE_EFFECTS, DriveRow, drive_table
 from pytest_twin.export.source import DIAGNOSIS_FILE, ExportSource
@@ -64,26 +67,45 @@ def servo_entry(
     )
 
 
+_OF_DRIVE: Mapping[str, tuple[str, str, bool]] = {
+    # parameter -> (effect, its parameter, whether it is a factor of the model's value)
+    "stiffness": (ControllerGain.id, "stiffness_error", True),
+    "damping": (ControllerGain.id, "damping_error", True),
+    "effort_limit": (TorqueSaturation.id, "limit", False),
+    "armature": (Armature.id, "inertia", False),
+    "friction": (CoulombFriction.id, "coulomb", False),
+    "viscous": (ViscousFriction.id, "coefficient", False),
+}
+
+
 def _drive(row: DriveRow, findings: list[Mapping[str, Any]]) -> dict[str, Estimate]:
-    values = {
-        "stiffness": row.stiffness,
-        "damping": row.damping,
-        "effort_limit": row.effort_limit,
-        "armature": row.armature,
-        "friction": row.friction,
-        "viscous": row.viscous,
-    }
+    """Each parameter of a drive, with the interval of the finding that changed it."""
     parts = {"stiffness": "gains", "damping": "gains"}
-    found = {DRIVE_EFFECTS.get(f["effect"]): f["effect"] for f in findings}
-    return {
-        name: Estimate(
-            value + 0.0, PARAMETERS[name][0], (),
-            f"finding {found[parts.get(name, name)]}" if parts.get(name, name) in found
-            else _MODEL_VALUE,
-        )
-        for name, value in values.items()
-        if value is not None and value >= 0.0
-    }  # fmt: skip
+    changed: dict[str | None, list[Mapping[str, Any]]] = {}
+    for finding in findings:
+        changed.setdefault(DRIVE_EFFECTS.get(finding["effect"]), []).append(finding)
+    drive = {}
+    for name, (unit, _) in PARAMETERS.items():
+        value = getattr(row, name)
+        if value is None or value < 0.0:
+            continue
+        of = changed.get(parts.get(name, name), [])
+        how = f"finding {' and '.join(f['effect'] for f in of)}" if of else _MODEL_VALUE
+        drive[name] = Estimate(value + 0.0, unit, _interval(name, value, of), how)
+    return drive
+
+
+def _interval(name: str, value: float, findings: list[Mapping[str, Any]]) -> tuple[float, ...]:
+    """95 % interval of a parameter; empty if not one finding alone changed it."""
+    effect, parameter, is_factor = _OF_DRIVE[name]
+    if len(findings) != 1 or findings[0]["effect"] != effect:
+        return ()
+    estimate = findings[0]["parameters"].get(parameter)
+    if estimate is None or (is_factor and estimate["value"] <= -1.0):
+        return ()
+    scale = value / (1.0 + estimate["value"]) if is_factor else 1.0
+    low, high = (value + scale * (end - estimate["value"]) for end in estimate["ci95"])
+    return max(low, 0.0), high
 
 
 def _evidence(document: Mapping[str, Any], source: ExportSource) -> dict[str, str]:

@@ -10,6 +10,7 @@ from typing import Any
 from pytest_twin.dependency import Part, Structure
 from pytest_twin.errors import FormatError
 from pytest_twin.formats import typed
+from pytest_twin.servos.prior import contents_of
 from pytest_twin.staleness import Model, joint_calibration, twin_parts
 from pytest_twin.twin import JointCalibration, Pose, Twin
 
@@ -176,6 +177,8 @@ def input_parts(
         pose = None if base is None else base.transform_world_to_base
         contents["base:calibration"] = {"quaternion": list((pose or Pose()).quaternion)}
     if twin is not None:
+        known = contents_of(twin.servos)
+        contents |= {f"servo:{joint}": known[joint] for joint in uses.joints if joint in known}
         stated = twin_parts(twin, lambda file: None)
         for layer, names in (("controller", uses.controllers), ("payload", uses.payloads)):
             for name in names:

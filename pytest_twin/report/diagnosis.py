@@ -24,6 +24,7 @@ from pytest_twin.report.finding_words import (
 from pytest_twin.report.frequency import figures_of, rows_of
 from pytest_twin.report.law_plot import law_figure
 from pytest_twin.report.page import Page, svg_uri
+from pytest_twin.report.priors import prior_sentences
 from pytest_twin.report.text import number, quantity
 
 MAX_FIGURES = 12
@@ -74,6 +75,7 @@ def words(document: Mapping[str, Any]) -> list[str]:
             f"    {finding_sentence(f)} Small: {f['why_small']}."
             for f in document["small_corrections"]
         ]
+    lines += [f"  {line}" for line in prior_sentences(document)]
     if document["held_out"]:
         which = "held-out recordings" if held_out else "fitted recordings, none is held out"
         lines.append(f"  RMS error on the {which}:")
@@ -143,6 +145,7 @@ def render(view: DiagnosisView) -> str:
             {"sentence": finding_sentence(f), "why": f["why_small"]}
             for f in document.get("small_corrections", ())
         ],
+        priors=prior_sentences(document),
         left=_unexplained_sentences(document),
         what_to_do=_WHAT_TO_DO,
         figures=[(v.joint, svg_uri(f)) for v, f in zip(drawn, figures, strict=True)],

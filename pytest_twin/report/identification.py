@@ -8,6 +8,7 @@ from typing import Any
 from pytest_twin.effects.sensing import EncoderBias, EncoderScale
 from pytest_twin.report.frequency import figures_of, rows_of
 from pytest_twin.report.page import Page
+from pytest_twin.report.priors import prior_sentences
 
 _VERDICT = {
     "accepted": ("Accepted: every stage that the motion shows lowers the held-out error", "good"),
@@ -30,6 +31,7 @@ def render(document: Mapping[str, Any]) -> str:
         headline=headline,
         mood=mood,
         errors=error_lines(document),
+        priors=prior_sentences(document),
         open=by_motion(document),
         mechanisms=mechanisms(document),
         signals=signal_rows(document),

@@ -98,6 +98,7 @@ class FirstTwin:
         excitation: section ``excitation:`` without values, as YAML; empty without a movable joint.
         servo: id of the servo of all drives, or empty.
         servo_fit: values of its drives, as under ``fit:``.
+        servos: section ``servos:`` with their intervals.
     """
 
     name: str
@@ -113,6 +114,7 @@ class FirstTwin:
     excitation: str = ""
     servo: str = ""
     servo_fit: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    servos: Sequence[Mapping[str, Any]] = ()
 
 
 def write_twin_file(folder: Path, first: FirstTwin) -> Path:
@@ -149,6 +151,8 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
             **({"body": repaired} if repaired else {}),
             **{family: dict(values) for family, values in first.servo_fit.items()},
         }
+    if first.servos:
+        content["servos"] = [dict(servo) for servo in first.servos]
     content["release"] = {"valid_days": 90}
     head = modeline(f"{_SCHEMAS}/twin.schema.json")
     path = folder / FILE_NAME

@@ -65,7 +65,9 @@ def with_values(problem: Problem, hidden: dict[Term, dict[str, float]]) -> Hypot
     return h
 
 
-def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Problem:
+def problem_of(
+    xml: str, mode: str, hidden: dict[Term, dict[str, float]], *, seed: int = 1
+) -> Problem:
     """Two fit recordings of a robot with hidden effects, which the package itself simulates."""
     model = mujoco.MjModel.from_xml_string(xml)
     joints = tuple(model.joint(i).name for i in range(model.njnt))
@@ -84,7 +86,7 @@ def problem_of(xml: str, mode: str, hidden: dict[Term, dict[str, float]]) -> Pro
     scales = joint_scales(simulator, replay_nominal(simulator))
     noise = np.full(len(joints), NOISE)
     problem = Problem(simulator, np.arange(2), np.zeros(0, np.int64), noise, scales)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     values = effect_values([with_values(problem, hidden)] * 2, len(joints), scales)
     measured = [
         replace(s, position=p.position + NOISE * rng.standard_normal(p.position.shape))

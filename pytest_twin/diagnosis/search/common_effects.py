@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.simplification import mean_start, values_of
+from pytest_twin.diagnosis.servo_priors import surprise
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
@@ -40,6 +41,8 @@ def set_size(
 ) -> Size:
     """Number of effects and parameters of a set, where common effects count once.
 
+    With what the priors of the servos say of its parameters.
+
     Args:
         idle: parameters of a term that change nothing.
     """
@@ -52,6 +55,7 @@ def set_size(
     return Size(
         len(hypothesis.terms) - len(repeated),
         hypothesis.free_count - repeated_parameters - without_influence,
+        surprise(problem, hypothesis),
     )
 
 

@@ -40,6 +40,7 @@ from pytest_twin.diagnosis.search.simplification import (
     special_cases,
     split_terms,
 )
+from pytest_twin.diagnosis.servo_priors import fitted_with_priors
 from pytest_twin.diagnosis.simulation_settings import SUBSTEPS, has_dry_friction
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict_settings import VERDICT
@@ -268,6 +269,16 @@ class SimulatedPhysics:
         corrected_at: Hypothesis,
     ) -> tuple[Hypothesis, FloatArray, FloatArray]:
         """As :meth:`Physics.fit`."""
+        fitted = self._fit_recordings(hypothesis, residual, iterations, corrected_at)
+        return fitted_with_priors(self.problem, *fitted)
+
+    def _fit_recordings(
+        self,
+        hypothesis: Hypothesis,
+        residual: FloatArray,
+        iterations: int,
+        corrected_at: Hypothesis,
+    ) -> tuple[Hypothesis, FloatArray, FloatArray]:
         here = self.problem.at(corrected_at)
         weights = here.weights(np.mean(residual**2, axis=0))
         (fitted,) = fit(here, [hypothesis], weights, here.fit, iterations=iterations)

@@ -57,6 +57,7 @@ def simulation_document(result: SimulationResult) -> dict[str, Any]:
             ],
         },
         "suspected": [one.to_json() for one in suspected],
+        **({"priors": [use.to_json() for use in result.priors]} if result.priors else {}),
         "unobservable": [
             undetermined_by_command(stage, place_of(problem, term), term.effect)
             for term, stage in result.undetermined.items()

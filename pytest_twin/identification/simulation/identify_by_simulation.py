@@ -23,6 +23,7 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.run import Run
 from pytest_twin.diagnosis.search_result import joint_errors
 from pytest_twin.diagnosis.searched_trials import search_trials
+from pytest_twin.diagnosis.servo_priors import PriorUse, combine
 from pytest_twin.diagnosis.signal_meaning import RecordedSignals
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
@@ -55,6 +56,7 @@ class SimulationResult:
         is_complete: whether the search ended by itself.
         signals: meaning of the recorded commands, velocities and efforts.
         trials: recordings as they were used.
+        priors: what became of the priors of the servos.
         notes: one line each.
     """
 
@@ -69,6 +71,7 @@ class SimulationResult:
     is_complete: bool
     signals: RecordedSignals
     trials: TrialSet
+    priors: tuple[PriorUse, ...]
     notes: tuple[str, ...]
 
 
@@ -109,7 +112,7 @@ def identify_simulation(
         prepared, hypothesis = found.prepared, found.explanation.hypothesis
         problem, test_problem = prepared.problem, tested.prepared.problem
         column = {problem.joints.index(j): k for k, j in enumerate(test_problem.joints)}
-        errors, spread = tested.errors, found.explanation.uncertainty
+        errors, spread = tested.errors, found.explanation.of_recordings
         tests = StageTests(
             plan, with_derivatives(problem, hypothesis), problem, test_problem,
             partial(hypothesis_at_tested_joints, column=column),
@@ -128,16 +131,24 @@ def identify_simulation(
         stage_of = {t: plan.stage_of[t.effect] for t in hypothesis.terms}
         if spread is None:
             spread = parameter_uncertainty(problem.at(hypothesis), slopes)
-        undetermined = dict[Term, StageName]()
+        undetermined, widened = dict[Term, StageName](), spread
         if not skips("which values of the model hold"):
             absent = AbsentEffects.of(problem, hypothesis, plan)
-            undetermined, spread = absent.undetermined(), absent.widened(spread)
+            undetermined, widened = absent.undetermined(), absent.widened(spread)
             stages = [_as_the_model_says(one, undetermined) for one in stages]
+        combined = combine(problem.at(hypothesis), slopes, spread, widened)
+        if combined.is_moved:
+            hypothesis = combined.hypothesis
+            errors = joint_errors(
+                tested.prepared, tested.before,
+                residuals_everywhere(test_problem, tests.at_tested_joints(hypothesis)),
+            )  # fmt: skip
     stages = [_with_data(one, problem, slopes, stage_of, found.trials) for one in stages]
     used = replace(searched.trials, fit=found.trials.fit, held_out=tested.trials.held_out)
     return SimulationResult(
-        prepared, hypothesis, stage_of, spread, tuple(stages), undetermined, errors,
+        prepared, hypothesis, stage_of, combined.uncertainty, tuple(stages), undetermined, errors,
         bool(len(test_problem.held_out)), not run.skipped_searches, searched.signals, used,
+        combined.uses,
         (*searched.trials.notes, *structure.notes, *evaluated.notes),
     )  # fmt: skip
 
