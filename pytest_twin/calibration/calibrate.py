@@ -18,6 +18,7 @@ from pytest_twin.calibration.changed_cell import changed_cell
 from pytest_twin.calibration.clocks.calibrate_streams import calibrate_streams
 from pytest_twin.calibration.coincident_markers import ExcludedMeasurement, without_coincident
 from pytest_twin.calibration.compliance import Compliance, with_compliance
+from pytest_twin.calibration.conditions import add_conditions, conditions_of
 from pytest_twin.calibration.document import new_document
 from pytest_twin.calibration.encoders import ENCODERS, calibrate_encoders
 from pytest_twin.calibration.error_sources import weigh_by_source
@@ -34,7 +35,7 @@ from pytest_twin.calibration.observability import (
 from pytest_twin.calibration.observations import Observations, in_order
 from pytest_twin.calibration.parameters import State
 from pytest_twin.calibration.plan import Plan, load_plan
-from pytest_twin.calibration.pose_errors import PoseErrors, with_pose_errors
+from pytest_twin.calibration.pose_errors import TestedPoses, with_pose_errors
 from pytest_twin.calibration.problem import CalibrationProblem, make_problem, reported_flange
 from pytest_twin.calibration.reach_hypotheses import hypotheses_in_words, reach_hypotheses
 from pytest_twin.calibration.recordings.gather import GatheredObservations, gather
@@ -85,15 +86,15 @@ class Solution:
         sources: error source -> standard deviation, m or rad; empty if the sources cannot be
             distinguished.
         compliance: bending of the arm under gravity, if the residuals show it.
-        pose_errors: errors that repeat with the pose, if the residuals show them.
+        poses: errors that repeat with the pose.
     """
 
     estimate: CalibrationEstimate
     gauges: tuple[Gauge, ...]
     candidates: Mapping[str, State]
     sources: Mapping[str, float]
-    compliance: Compliance | None = None
-    pose_errors: tuple[PoseErrors, ...] = ()
+    compliance: Compliance | None
+    poses: TestedPoses
 
     @property
     def notes(self) -> list[str]:
@@ -258,7 +259,9 @@ def calibrate(
     solved = solve_problem(problem.on_rows(fit_rows))
     progress(0.6)
     if seen is not None and seen.refine(solved.estimate):
-        solved = replace(solved, estimate=seen.estimate)
+        refined = seen.estimate
+        wider = refined.covariance + solved.poses.added
+        solved = replace(solved, estimate=replace(refined, covariance=wider))
         problem = make_problem(plan, seen.posed(observations), chain)
     progress(0.7)
     fit = solved.estimate.fit
@@ -287,6 +290,7 @@ def calibrate(
     ]
     lost = [] if seen is None else seen.complete(document, held_rows)
     document["unobservable"] += lost
+    add_conditions(document, conditions_of(problem))
     degenerate = degenerate or bool(lost)
     change = None if degenerate or is_over() else changed_cell(problem, fit)
     suspected: tuple[InputMistake, ...] = ()
@@ -305,7 +309,7 @@ def calibrate(
     notes = [*problem.notes, *(() if seen is None else seen.notes), *_notes(plan, held)]
     notes += solved.notes
     # A mistake of the input has errors that follow the poses too.
-    notes += _notes_on_poses(problem, () if suspected else solved.pose_errors)
+    notes += [] if suspected else [one.words for one in solved.poses.errors]
     if not degenerate:
         notes += _note_on_inverses(problem, document["records"])
         notes += [
@@ -360,9 +364,9 @@ def solve_problem(problem: CalibrationProblem) -> Solution:
         found = with_directions(found, uncertain_directions(fit, found.covariance, found.quantile))
     found, sources = weigh_by_source(found)
     found, compliance = with_compliance(found)
-    found, pose_errors = with_pose_errors(found)
+    found, poses = with_pose_errors(found)
     kept = {name: state for name, state in candidates.items() if not is_subset(name)}
-    return Solution(found, gauges, kept, sources, compliance, pose_errors)
+    return Solution(found, gauges, kept, sources, compliance, poses)
 
 
 def _suspected(
@@ -415,8 +419,8 @@ def _fitted_json(solved: Solution, fitted: Errors) -> dict[str, Any]:
         found["error_sources"] = dict(solved.sources)
     if solved.compliance is not None:
         found["compliance"] = solved.compliance.to_json()
-    if solved.pose_errors:
-        found["pose_errors"] = [one.to_json() for one in solved.pose_errors]
+    if solved.poses.errors:
+        found["pose_errors"] = [one.to_json() for one in solved.poses.errors]
     found["leave_one_out"] = dict(solved.estimate.leave_one_out)
     return found
 
@@ -480,19 +484,6 @@ def _many_outliers(fit: Fit) -> list[str]:
         for term, kept, count in zip(fit.problem.terms, fit.kept, left_out, strict=True)
         if count > _MOST_OUTLIERS * len(kept)
     ]
-
-
-def _notes_on_poses(problem: CalibrationProblem, errors: Sequence[PoseErrors]) -> list[str]:
-    """Return notes on errors that repeat with the pose, and on those that nothing shows."""
-    notes = [one.words for one in errors]
-    if problem.chain is None and problem.observations.flange is not None:
-        notes.append(
-            "flange.* are taken as they are: they must be poses of the flange, not of a tool that "
-            "is set in the controller, and no interval contains an error of its joint zeros or "
-            "links that the residuals do not show; to find it, give robot: with columns "
-            "joint.NAME and estimate joint_zeros"
-        )
-    return notes
 
 
 def _note_on_inverses(problem: CalibrationProblem, found: Mapping[str, Any]) -> list[str]:

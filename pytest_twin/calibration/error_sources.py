@@ -18,7 +18,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.parameters import State, Variables
 from pytest_twin.calibration.records import CalibrationEstimate
 from pytest_twin.calibration.solve import Fit, at_state, prior_rows, prior_values
-from pytest_twin.calibration.terms import PoseTerm
+from pytest_twin.calibration.terms import PoseTerm, by_flange
 from pytest_twin.estimation.covariance import block_jackknife
 
 SOURCES = ("across", "along", "rotation", "flange_translation", "flange_rotation")
@@ -108,7 +108,7 @@ def _linearize(fit: Fit, state: State, kept: np.ndarray) -> _Linear:
     variables = Variables(problem.layout, state, np.zeros(problem.layout.count))
     flange = problem.flange(variables)
     residuals, slopes = term.residuals(flange, variables)
-    robot = term.by_flange(flange, variables)[kept]
+    robot = by_flange(term, flange, variables)[kept]
     parts = np.zeros((len(SOURCES), int(kept.sum()), 6, 6))
     parts[0, :, [0, 1], [0, 1]] = 1.0
     parts[1, :, 2, 2] = 1.0

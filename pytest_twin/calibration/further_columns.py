@@ -10,7 +10,7 @@ from scipy import stats
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.solve import Fit
 
-_FEWEST_DEGREES = 20
+FEWEST_DEGREES = 20
 """Residuals beyond all unknowns from which further ones are tested."""
 _NEGLIGIBLE = 1e-9
 """Singular values, relative to the largest, of directions that the residuals do not show."""
@@ -53,7 +53,7 @@ def free_columns(
     )
     degrees, before = _degrees(fit, free), _degrees(fit, slopes)
     probability = 1.0
-    if degrees >= _FEWEST_DEGREES and before > degrees and left > 0.0:
+    if degrees >= FEWEST_DEGREES and before > degrees and left > 0.0:
         ratio = (rest - left) / (before - degrees) / (left / degrees)
         probability = float(stats.f.sf(ratio, before - degrees, degrees))
     count = slopes.shape[1]

@@ -170,31 +170,32 @@ class Poses(Protocol):
         """A named transform, once for each row."""
         ...
 
+    def point(self, name: str, rows: int) -> tuple[FloatArray, FloatArray]:
+        """(rows, 3) position of a named point, m, and its derivatives, (rows, 3, count)."""
+        ...
+
 
 @dataclass(frozen=True)
 class HeldPoses:
-    """Named transforms that are fixed, with zero derivatives.
+    """Transforms and points of a state that are fixed, with ``width`` zero derivatives."""
 
-    Attributes:
-        poses: name -> (4, 4).
-        factor: scale factor of the camera's positions.
-        width: number of parameters of the derivatives.
-    """
-
-    poses: Mapping[str, FloatArray]
-    factor: float
+    state: State
     width: int
 
     @property
     def scale(self) -> tuple[float, FloatArray]:
         """Factor of the camera's positions, and its derivatives."""
-        return self.factor, np.zeros(self.width)
+        return self.state.scale, np.zeros(self.width)
 
     def pose(self, name: str, rows: int) -> TransformWithJacobian:
         """A named transform, once for each row."""
-        pose = np.tile(self.poses[name], (rows, 1, 1))
+        pose = np.tile(self.state.poses[name], (rows, 1, 1))
         nothing = np.zeros((rows, 3, self.width))
         return TransformWithJacobian(pose[:, :3, :3], pose[:, :3, 3], nothing, nothing)
+
+    def point(self, name: str, rows: int) -> tuple[FloatArray, FloatArray]:
+        """(rows, 3) position of a named point, m, and its derivatives, (rows, 3, width)."""
+        return np.tile(self.state.points[name], (rows, 1)), np.zeros((rows, 3, self.width))
 
 
 @dataclass(frozen=True)
@@ -211,8 +212,8 @@ class Variables:
         return self.layout.moved(self.state, self.step)
 
     def held(self, width: int) -> HeldPoses:
-        """Return the current transforms as fixed ones, with ``width`` zero derivatives."""
-        return HeldPoses(self.now.poses, self.now.scale, width)
+        """Return the current transforms and points as fixed ones, with ``width`` derivatives."""
+        return HeldPoses(self.now, width)
 
     @property
     def scale(self) -> tuple[float, FloatArray]:

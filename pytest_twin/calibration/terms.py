@@ -38,7 +38,7 @@ class Term(Protocol):
         """Kind of noise of each residual column."""
 
     def residuals(
-        self, flange: TransformWithJacobian, variables: Variables
+        self, flange: TransformWithJacobian, variables: Poses
     ) -> tuple[FloatArray, FloatArray]:
         """Predicted minus measured, (m, columns), and its derivatives, (m, columns, count).
 
@@ -46,6 +46,22 @@ class Term(Protocol):
             flange: ``transform_base_to_flange`` of all rows of the observations.
         """
         ...
+
+
+def by_flange(term: Term, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
+    """(m, columns, 6) derivatives of a term's residuals by position and rotation of the flange.
+
+    Both are in the flange's own axes, m and rad.
+    """
+    turned = flange.rotation
+    nothing = np.zeros_like(turned)
+    own = TransformWithJacobian(
+        turned,
+        flange.position,
+        np.concatenate([nothing, turned], axis=2),
+        np.concatenate([turned, nothing], axis=2),
+    )
+    return term.residuals(own, variables.held(6))[1]
 
 
 def at_rows(moving: TransformWithJacobian, rows: np.ndarray) -> TransformWithJacobian:
@@ -80,7 +96,7 @@ class PoseTerm:
     noise: tuple[str, ...] = ("translation",) * 3 + ("rotation",) * 3
 
     def residuals(
-        self, flange: TransformWithJacobian, variables: Variables
+        self, flange: TransformWithJacobian, variables: Poses
     ) -> tuple[FloatArray, FloatArray]:
         """Return position errors in the camera's axes (m) and rotation vectors (rad)."""
         predicted = self._moving(flange, variables)
@@ -93,29 +109,10 @@ class PoseTerm:
             np.concatenate([predicted.shift, slope], axis=1),
         )
 
-    def predicted(self, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
+    def predicted(self, flange: TransformWithJacobian, variables: Poses) -> FloatArray:
         """(m, 4, 4) ``camera_from_target``, m."""
         moving = self._moving(flange, variables)
         return rigid(moving.rotation, moving.position)
-
-    def by_flange(self, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
-        """(m, 6, 6) derivatives of the residuals by the flange's position and rotation vector.
-
-        Both are in the flange's own axes, m and rad.
-        """
-        turned = flange.rotation
-        nothing = np.zeros_like(turned)
-        own = TransformWithJacobian(
-            turned,
-            flange.position,
-            np.concatenate([nothing, turned], axis=2),
-            np.concatenate([turned, nothing], axis=2),
-        )
-        predicted = self._moving(own, variables.held(6))
-        back = np.swapaxes(self.measured[:, :3, :3], 1, 2)
-        rotation = Rotation.from_matrix(back @ predicted.rotation).as_rotvec()
-        slope = inverse_left_jacobian(rotation) @ back @ predicted.turn
-        return np.concatenate([predicted.shift, slope], axis=1)
 
     def _moving(self, flange: TransformWithJacobian, variables: Poses) -> TransformWithJacobian:
         count = len(self.rows)
@@ -152,18 +149,18 @@ class PointTerm:
         return f"point.{self.point.removeprefix('marker.')}"
 
     def residuals(
-        self, flange: TransformWithJacobian, variables: Variables
+        self, flange: TransformWithJacobian, variables: Poses
     ) -> tuple[FloatArray, FloatArray]:
         """Return position errors in the axes of the measuring frame, m."""
         predicted, slope = self._moving(flange, variables)
         return predicted - self.measured, slope
 
-    def predicted(self, flange: TransformWithJacobian, variables: Variables) -> FloatArray:
+    def predicted(self, flange: TransformWithJacobian, variables: Poses) -> FloatArray:
         """(m, 3) predicted positions in the measuring frame, m."""
         return self._moving(flange, variables)[0]
 
     def _moving(
-        self, flange: TransformWithJacobian, variables: Variables
+        self, flange: TransformWithJacobian, variables: Poses
     ) -> tuple[FloatArray, FloatArray]:
         count = len(self.rows)
         carried = at_rows(flange, self.rows)
@@ -194,7 +191,7 @@ class PivotTerm:
         return "pivot"
 
     def residuals(
-        self, flange: TransformWithJacobian, variables: Variables
+        self, flange: TransformWithJacobian, variables: Poses
     ) -> tuple[FloatArray, FloatArray]:
         """Return the offset of the tip from the fixed point, in the base, m."""
         count = len(self.rows)

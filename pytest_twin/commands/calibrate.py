@@ -16,6 +16,7 @@ from pytest_twin.errors import PathError
 from pytest_twin.formats import atomic, results
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.report import calibration
+from pytest_twin.report.calibration import conditions_of
 from pytest_twin.words import counted
 
 EXAMPLES = (
@@ -133,7 +134,10 @@ def calibrate_into(
 
 
 def _words(document: dict[str, Any], path: Path) -> list[str]:
-    lines = [f"{document['verdict'].capitalize()}: {document['calibration']}"]
+    conditions = conditions_of(document) if document["verdict"] == "accepted" else []
+    on_condition = " on condition" if conditions else ""
+    lines = [f"{document['verdict'].capitalize()}{on_condition}: {document['calibration']}"]
+    lines += [f"  if {condition}" for condition in conditions]
     lines += [f"  because {reason}" for reason in document["reasons"]]
     for name, record in document["records"].items():
         if record.get("asked", True):

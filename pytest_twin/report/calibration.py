@@ -42,6 +42,7 @@ def render(document: Mapping[str, Any], images: Path) -> str:
     return _PAGE.render(
         document=document,
         headline=headline,
+        conditions=conditions_of(document) if mood == "good" else [],
         mood=mood,
         estimates=list(_estimates(document["records"])),
         scene=svg_uri(scene_figure(document)) if "scene" in document else None,
@@ -55,6 +56,17 @@ def render(document: Mapping[str, Any], images: Path) -> str:
             for name, record in document["records"].items()
             if "transform" in record and len(record["covariance"]) == 6
         ],
+    )
+
+
+def conditions_of(document: Mapping[str, Any]) -> list[str]:
+    """Return the conditions under which the records of ``calibration.json`` hold."""
+    return list(
+        dict.fromkeys(
+            condition
+            for record in document["records"].values()
+            for condition in record.get("holds_if", ())
+        )
     )
 
 

@@ -28,6 +28,7 @@ from pytest_twin.calibration.clocks.offset import (
 from pytest_twin.calibration.clocks.residuals import residuals_of
 from pytest_twin.calibration.clocks.stream_mistakes import mistakes_of_streams
 from pytest_twin.calibration.clocks.streams import PoseStream, read_stream
+from pytest_twin.calibration.conditions import HAND_POSES, ONE_DELAY, add_conditions
 from pytest_twin.calibration.document import new_document
 from pytest_twin.calibration.parameters import POSE_LABELS
 from pytest_twin.calibration.plan import Plan
@@ -190,6 +191,7 @@ def _solve(
         document["notes"].append(note)
     document["unobservable"] = _undetermined_quantities(plan, fit)
     document["records"] = _records(plan, fit, drift, found)
+    add_conditions(document, [HAND_POSES, ONE_DELAY])
     document["covariance"] = _joint_covariance(plan, fit)
     document["fitted"] = _summary(fit.translation, fit.rotation)
     if len(held_out):
@@ -213,7 +215,7 @@ def _solve(
     document["suspected"] = [one.to_json() for one in suspected]
     document["reasons"] = [
         *(f"{one.what}; {one.mend}" for one in suspected),
-        *([step] if step else []),
+        *([step] if step and not suspected else []),
         *acceptance_failures(document["held_out"], asdict(plan.accept)),
     ]
     document["verdict"] = "rejected" if document["reasons"] else "accepted"

@@ -26,14 +26,25 @@ SLOPE_S = 0.05
 """Half of the time span over which the hand's velocity at a stamp is measured. With a span of 0.02
 s, position noise of 0.4 mm would look like a speed of 28 mm/s, and a hand at rest would seem to
 determine the offset."""
+_AROUND_S = (0.1, -0.1, 0.2, -0.2)
+"""Times from a stamp to the poses that give the hand's acceleration."""
 _CUT = 3.0
 """Number of standard deviations beyond which a pose gets less weight (Huber's function)."""
 BLOCKS = 20
 """Number of time segments for the covariance. Errors of neighbouring poses are correlated; those of
 segments of a second or more are nearly independent."""
 
-COUNT, SCALE = 15, 14
-"""Number of unknowns, and index of the scale of the camera's positions."""
+COUNT, SCALE, SMOOTHING = 16, 14, 15
+"""Number of unknowns, and indices of the scale of the camera's positions and of the variance of an
+average over time, s^2, by which the camera's poses are smoother than the hand's."""
+
+SMOOTHED_FROM_S = 0.02
+"""Standard deviation of an average over time from which it is a mistake. Motion during an exposure
+of 33 ms is averaged by 10 ms, interpolation at 25 Hz averages by 16 ms. Those of 15 ms moved frames
+by at most 0.8 half widths of their intervals."""
+_SURE_SMOOTHING = 5.0
+"""Smallest variance of an average in standard deviations. With 19 degrees of freedom, chance gives
+one in ten thousand."""
 
 MOST_OFFSET_SPREAD_S = 0.05
 """Half width of the offset's 95 % interval above which the motion does not determine it. It
@@ -49,9 +60,9 @@ class ClockFit:
             middle of the recording.
         drift: rate of the offset, s/s.
         solved: transforms of ``hand @ hand_eye = robot_world @ seen``.
-        covariance: (15, 15) of offset, drift, hand-eye and robot-world (each x, y, z, rotation
-            vector in the parent's axes), and scale; zero for a fixed drift or scale.
-        quantile: (15,) half widths of 95 % intervals in standard deviations.
+        covariance: (16, 16) of offset, drift, hand-eye and robot-world (each x, y, z, rotation
+            vector in the parent's axes), scale and smoothing; zero for what is fixed.
+        quantile: (16,) half widths of 95 % intervals in standard deviations.
         translation, rotation: (n,) errors of the fitted poses, m and rad.
         scale: stated size of the target divided by its real one.
     """
@@ -178,6 +189,37 @@ def fit_clocks(
     )
 
 
+def smoothing(
+    hand: PoseStream, camera: PoseStream, seen: FloatArray, at: ClockFit, middle: float
+) -> float:
+    """Return the time over which the camera's poses are averaged more than the hand's, s.
+
+    It is the standard deviation of the weights of the average, negative if the hand's poses are
+    smoother, and 0 if there is none within chance. An average changes a pose by half of the
+    variance of its weights times the acceleration; its mean delay is a part of the offset.
+
+    Args:
+        seen: (n, 4, 4) poses of the camera stream as ``robot_world`` carries them.
+        middle: time of the camera's clock at which the offset holds, s.
+    """
+    time = hand_times(camera, at.offset, at.drift, middle)
+    inside = (time - _AROUND_S[2] >= hand.time[0]) & (time + _AROUND_S[2] <= hand.time[-1])
+    free = np.r_[0, 2:COUNT]
+    equations = _Equations(
+        hand, camera.rows(inside), seen[inside], middle, free, np.zeros(len(free))
+    )
+    try:
+        step, spread = equations.step(at), equations.spread(at)
+    except np.linalg.LinAlgError:
+        return 0.0
+    variance = float(step[SMOOTHING])
+    std = float(np.sqrt((spread.bread @ spread.meat @ spread.bread)[-1, -1]))
+    size = float(np.sqrt(abs(variance)))
+    if size < SMOOTHED_FROM_S or not abs(variance) > _SURE_SMOOTHING * std:
+        return 0.0
+    return float(np.copysign(size, variance))
+
+
 @dataclass(frozen=True)
 class _Spread:
     """Parts of the covariance of the free unknowns.
@@ -218,19 +260,24 @@ class _Equations:
 
     def minimized(self, at: ClockFit) -> ClockFit:
         """Return the fit after Gauss-Newton steps of the free unknowns."""
-        prior = np.sqrt(self.prior_weight)
         for _ in range(_STEPS):
-            rows, residual = self._whitened(*self._linearized(at))
-            flat = np.concatenate([rows.reshape(-1, len(self.free)), np.diag(prior)])
-            right = np.concatenate([residual.ravel(), prior * (at.scale - 1.0)])
-            norm = np.linalg.norm(flat, axis=0)
-            move = np.zeros(COUNT)
-            move[self.free] = np.linalg.lstsq(flat / norm, -right, rcond=1e-10)[0] / norm
+            move = self.step(at)
             at = _apply_step(at, move)
             # Steps below a microsecond, a micrometre and a microradian are negligible.
             if np.abs(move).max() < 1e-7 or is_over():
                 break
         return at
+
+    def step(self, at: ClockFit) -> FloatArray:
+        """Return the (16,) Gauss-Newton step of the free unknowns; 0 for the others."""
+        prior = np.sqrt(self.prior_weight)
+        rows, residual = self._whitened(*self._linearized(at))
+        flat = np.concatenate([rows.reshape(-1, len(self.free)), np.diag(prior)])
+        right = np.concatenate([residual.ravel(), prior * (at.scale - 1.0)])
+        norm = np.linalg.norm(flat, axis=0)
+        move = np.zeros(COUNT)
+        move[self.free] = np.linalg.lstsq(flat / norm, -right, rcond=1e-10)[0] / norm
+        return move
 
     def spread(self, at: ClockFit) -> _Spread:
         """Return the parts of the covariance at a fit."""
@@ -267,7 +314,7 @@ class _Equations:
         return (scale[:, :, None] * slopes)[:, :, self.free], scale * residual
 
     def _linearized(self, at: ClockFit) -> tuple[FloatArray, FloatArray]:
-        """(n, 6) residuals and (n, 6, count) Jacobian of the poses in the hand's time range."""
+        """(n, 6) residuals and (n, 6, 16) Jacobian of the poses in the hand's time range."""
         hand, camera = self.hand, self.camera
         time = hand_times(camera, at.offset, at.drift, self.middle)
         inside = (time - SLOPE_S >= hand.time[0]) & (time + SLOPE_S <= hand.time[-1])
@@ -277,9 +324,13 @@ class _Equations:
         flange = hand.at(time)
         around, _ = difference(hand.at(time - SLOPE_S), hand.at(time + SLOPE_S))
         turn = hand.at(time - SLOPE_S)[:, :3, :3]
-        speed = np.concatenate(
-            [np.einsum("nij,nj->ni", turn, part) for part in (around[:, :3], around[:, 3:])], axis=1
-        ) / (2.0 * SLOPE_S)
+        speed = _turned(turn, around) / (2.0 * SLOPE_S)
+        # Without the pose at the stamp, whose noise is in the residual too.
+        ends = (difference(flange, hand.at(time + step))[0] for step in _AROUND_S)
+        ahead, behind, far_ahead, far_behind = ends
+        acceleration = _turned(flange[:, :3, :3], far_ahead + far_behind - ahead - behind) / (
+            3.0 * _AROUND_S[0] ** 2
+        )
         eye, world = at.solved.hand_eye, at.solved.robot_world
         carried = flange @ eye
         metric = mine.copy()
@@ -290,7 +341,9 @@ class _Equations:
         residual, slope = difference(np.broadcast_to(world, predicted.shape), predicted)
         by_carried = slope @ jacobian_by_first(carried, back)
         by_flange = by_carried @ jacobian_by_first(flange, np.broadcast_to(eye, flange.shape))
-        by_time = np.einsum("nij,nj->ni", by_flange, speed)
+        by_time, by_bend = (
+            np.einsum("nij,nj->ni", by_flange, motion) for motion in (speed, acceleration)
+        )
         by_eye = by_carried @ jacobian_by_second(flange)
         # A change of ``world`` equals the opposite change of ``predicted``, about the base's
         # origin.
@@ -300,15 +353,29 @@ class _Equations:
         drifted = by_time * (camera.time[inside] - self.middle)[:, None]
         # Positions of the residual are compared in the units of the camera: measured minus scale
         # times predicted. Measured divided by scale would shrink with the noise of the camera.
-        ahead = np.einsum("nij,nj->ni", carried[:, :3, :3], at.scale * back[:, :3, 3])
-        by_scale = -np.einsum("nij,nj->ni", slope[:, :, :3], ahead) / at.scale
+        lever = np.einsum("nij,nj->ni", carried[:, :3, :3], at.scale * back[:, :3, 3])
+        by_scale = -np.einsum("nij,nj->ni", slope[:, :, :3], lever) / at.scale
         by_scale[:, :3] += residual[:, :3]
         slopes = np.concatenate(
-            [by_time[..., None], drifted[..., None], by_eye, to_world, by_scale[..., None]], axis=2
+            [
+                by_time[..., None],
+                drifted[..., None],
+                by_eye,
+                to_world,
+                by_scale[..., None],
+                by_bend[..., None] / 2.0,
+            ],
+            axis=2,
         )
         residual[:, :3] *= at.scale
-        slopes[:, :3, :SCALE] *= at.scale
+        slopes[:, :3, np.arange(COUNT) != SCALE] *= at.scale
         return residual, slopes
+
+
+def _turned(turn: FloatArray, motion: FloatArray) -> FloatArray:
+    """(n, 6) positions and rotation vectors in the parent's axes, from those in a frame's own."""
+    parts = [np.einsum("nij,nj->ni", turn, part) for part in (motion[:, :3], motion[:, 3:])]
+    return np.concatenate(parts, axis=1)
 
 
 def _weights(residual: FloatArray) -> tuple[FloatArray, FloatArray]:

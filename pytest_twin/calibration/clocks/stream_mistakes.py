@@ -6,10 +6,15 @@ from dataclasses import replace
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.calibration.changed_cell import changed_cell
-from pytest_twin.calibration.clocks.offset import MOST_OFFSET_SPREAD_S, ClockFit, spread_rows
+from pytest_twin.calibration.clocks.offset import (
+    MOST_OFFSET_SPREAD_S,
+    ClockFit,
+    smoothing,
+    spread_rows,
+)
 from pytest_twin.calibration.clocks.streams import PoseStream
 from pytest_twin.calibration.input_mistake import InputMistake
-from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors
+from pytest_twin.calibration.input_mistakes import find_mistakes, has_large_errors, lengths_in_mm
 from pytest_twin.calibration.observations import Observations
 from pytest_twin.calibration.plan import Plan
 from pytest_twin.calibration.pose_errors import with_pose_errors
@@ -62,6 +67,9 @@ def mistakes_of_streams(
     )
     estimate = tuple(name for name in plan.estimate if name != "time_offset")
     problem = make_problem(replace(plan, estimate=estimate), observations, None)
+    averaged = 0.0 if lengths_in_mm(problem) else smoothing(hand, camera, seen, fit, middle)
+    if averaged:
+        return (_smoothed(averaged),), []
     candidates = starts(problem)
     if not candidates:
         return (), []
@@ -77,7 +85,7 @@ def mistakes_of_streams(
         suspected = () if scale is None else (scale,)
     notes = [change.note] if change is not None and change.may_be_arm else []
     if not suspected:
-        for error in with_pose_errors(estimated(found, ()))[1]:
+        for error in with_pose_errors(estimated(found, ()))[1].errors:
             if error.kind == "depth":
                 suspected = (InputMistake(error.cause, error.mend, float("nan"), float("nan")),)
             else:
@@ -87,6 +95,19 @@ def mistakes_of_streams(
         for one in suspected
     )
     return in_words, notes
+
+
+def _smoothed(averaged: float) -> InputMistake:
+    """Mistake of a stream that is an average over time, s, as ``smoothing`` returns it."""
+    smooth, other = ("camera", "hand") if averaged > 0.0 else ("hand", "camera")
+    return InputMistake(
+        f"the {smooth}'s poses are smoother than the {other}'s, as averages over time with weights "
+        f"of standard deviation {1e3 * abs(averaged):.0f} ms are: they were filtered, or sampled "
+        "too rarely. The frames are off, and the offset contains the filter's delay",
+        f"give the {smooth}'s poses as measured, without a filter",
+        float("nan"),
+        float("nan"),
+    )
 
 
 def _words_of_streams(words: str) -> str:

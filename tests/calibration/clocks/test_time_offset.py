@@ -113,6 +113,34 @@ def calibrated(folder: Path) -> tuple[int, dict]:
     return status, json.loads((folder / "out" / "calibration.json").read_text())
 
 
+def averaged(poses: np.ndarray, count: int) -> np.ndarray:
+    """Means of ``count`` successive poses."""
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    signs = np.sign(np.sum(quaternions[1:] * quaternions[:-1], axis=1))
+    quaternions[1:] *= np.cumprod(signs)[:, None]
+    rows = np.pad(np.hstack([poses[:, :3, 3], quaternions]), ((count // 2,) * 2, (0, 0)), "edge")
+    means = np.stack([np.convolve(row, np.ones(count) / count, "valid") for row in rows.T], axis=1)
+    found = poses.copy()
+    found[:, :3, 3] = means[:, :3]
+    found[:, :3, :3] = Rotation.from_quat(means[:, 3:]).as_matrix()
+    return found
+
+
+@pytest.mark.parametrize(("stream", "count"), [("camera.csv.gz", 5), ("hand.csv", 21)])
+def test_a_stream_that_was_averaged_over_time_is_rejected(tmp_path, stream, count):
+    write_streams(tmp_path)
+    path = tmp_path / stream
+    read = read_stream(path)
+    write_stream(path, read.time, averaged(read.poses, count), header=stream == "hand.csv")
+    status, found = calibrated(tmp_path)
+    assert (status, found["verdict"]) == (1, "rejected")
+    (reason,) = found["reasons"]
+    period = float(np.median(np.diff(read.time)))
+    assert reason.startswith(f"the {stream.partition('.')[0]}'s poses are smoother than")
+    width = float(re.search(r"standard deviation (\d+) ms", reason)[1])
+    assert width == pytest.approx(1e3 * period * np.sqrt((count**2 - 1) / 12), rel=0.2)
+
+
 @pytest.mark.parametrize("inverted", [False, True])
 def test_time_offset_and_hand_eye_pose_are_estimated_with_valid_intervals(tmp_path, inverted):
     write_streams(tmp_path, inverted=inverted)
