@@ -13,6 +13,7 @@ state file has a line for each robot, so an interrupted run can be continued.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import re
@@ -133,12 +134,15 @@ def _stage(command: list[str], cwd: Path, seconds: float) -> str:
 
 def run(folder: Path, state: Path, full: int, seconds: float) -> None:
     """Add a line to the state file for each robot that is not in it."""
+    state = state.absolute()
+    folder = folder.resolve()
     known = {line["path"]: line for line in read_state(state)}
     packages: dict[str, list[Path]] = {}
     for path in models(folder):
         packages.setdefault(path.relative_to(folder).parts[0], []).append(path)
     for package, paths in packages.items():
-        with Sandbox(seconds=seconds) as child:
+        # The child imports this file, and nothing from below the working folder.
+        with contextlib.chdir(tempfile.gettempdir()), Sandbox(seconds=seconds) as child:
             for path in paths:
                 name = path.relative_to(folder).as_posix()
                 if name in known:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -114,9 +113,9 @@ def read_compared(
                 where="pose of the base",
                 expected="recordings of a robot with its base fixed to the ground or to a rig",
             )
-    earlier = {_content(one): one for one in groups[0]}
+    earlier = {one.content: one for one in groups[0]}
     for one in (*groups[1], *groups[2]):
-        if (same := earlier.get(_content(one))) is not None:
+        if (same := earlier.get(one.content)) is not None:
             raise RecordingError(
                 f"the same recording is given with --before, as {same.path.name}",
                 path=one.path,
@@ -141,20 +140,12 @@ def read_compared(
     )
 
 
-def _content(one: MeasuredRecording) -> str:
-    """Key of what was measured, whatever the file is called and however it is stored."""
-    digest = hashlib.sha256()
-    for values in (one.position, one.effort):
-        digest.update(np.round(np.nan_to_num(values), 9).tobytes())
-    return digest.hexdigest()
-
-
 def _without_copies(
     recordings: Sequence[MeasuredRecording], notes: list[str]
 ) -> list[MeasuredRecording]:
     kept: dict[str, MeasuredRecording] = {}
     for one in recordings:
-        first = kept.setdefault(_content(one), one)
+        first = kept.setdefault(one.content, one)
         if first is not one:
             notes.append(f"left out: {one.path.name} has the content of {first.path.name}")
     return list(kept.values())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -85,7 +84,7 @@ def read_sessions(
         if skips(path.name):
             continue
         for one in read_measured(path, realization, topics, options, options.signals):
-            first = contents.setdefault(_content(one), one.path)
+            first = contents.setdefault(one.content, one.path)
             if first != one.path:
                 notes.append(f"left out: {one.path.name} has the content of {first.name}")
                 continue
@@ -238,13 +237,6 @@ def _refuse_unknown_payloads(read: Sequence[MeasuredRecording], realization: Rea
             path=one.path, where="metadata 'trial': payload", value=payload,
             expected="payloads: in twin.yaml with the mass of every payload",
         )  # fmt: skip
-
-
-def _content(one: MeasuredRecording) -> str:
-    digest = hashlib.sha256()
-    for values in (one.position, one.effort):
-        digest.update(np.round(np.nan_to_num(values), 9).tobytes())
-    return digest.hexdigest()
 
 
 def _temperature(
