@@ -10,6 +10,7 @@ import numpy as np
 
 from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.conclusion import ChosenModel
+from pytest_twin.diagnosis.equation_error import distant_gains
 from pytest_twin.diagnosis.findings import order_by_whole_motions
 from pytest_twin.diagnosis.first_answer import hypothesis_of
 from pytest_twin.diagnosis.intervals import parameter_uncertainty
@@ -172,6 +173,8 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
         both = both if term in both.terms else both.with_term_of(first, term)
     is_first = start is first and run.first_values is None
     starts, tentative = ([], [first]) if is_first else ([first, start, both], [])
+    if run.first_values is None:
+        starts = [*starts, distant_gains(problem)]
     found = _search(whole, run, "whole recordings", starts, tentative=tentative)
     found = _with_last_effects(found, run)
     for _ in range(_LOWER_FLOORS):
@@ -211,7 +214,7 @@ def _with_last_effects(found: SearchOutcome, run: Run) -> SearchOutcome:
 
 
 def _is_unpredictable(found: SearchOutcome) -> bool:
-    """Whether errors of the time step explain what remains over whole recordings.
+    """Whether errors of the time step explain what remains over whole recordings, at all joints.
 
     In the motion of an unstable servo they grow until no simulation predicts it.
     """
@@ -223,7 +226,7 @@ def _is_unpredictable(found: SearchOutcome) -> bool:
     limit = VERDICT.at_floor * physics.floor[:joints]
     remains = np.sqrt(incumbent.mean_square[:joints]) > limit
     steps = discretization_rms(physics.problem.at(incumbent.hypothesis)) > limit
-    return bool((remains & steps).any())
+    return bool(remains.any() and steps[remains].all())
 
 
 def _followed_windows(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.effects.base import Effect, Parameter, PoseShift, Values, World
 from pytest_twin.effects.fast_clip import fast_clip
-from pytest_twin.effects.proposal import JointFit, Start
 
 
 class _Filter(Protocol):
@@ -437,13 +436,6 @@ class Cogging(Effect):
         world.push_motor(values["sine"] * np.sin(angle) + values["cosine"] * np.cos(angle))
 
 
-_STIFFNESS_RATIOS = (0.1, 0.05, 0.02, 0.01, 0.005)
-"""Shares of the model's servo stiffness: a vendor's model may be 50 times as stiff as the firmware.
-A first-order fit finds larger shares; a softer servo still has another cause."""
-_COULOMB_START = 0.05
-"""Dry friction to try with a soft servo, in multiples of the drive's RMS effort."""
-
-
 class ControllerGain(Effect):
     """The servo's stiffness or damping differs from the model's."""
 
@@ -480,22 +472,6 @@ class ControllerGain(Effect):
 
     def special_cases(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
         return {"torque_constant": {"relative_error": values["stiffness_error"]}}
-
-    def propose(self, at: JointFit) -> Iterable[Start]:
-        """Position servos up to 200 times as soft as the model's, with the same damping ratio.
-
-        The drive of the stiff model would be at its limit along all of the measured motion, where
-        its effort does not depend on the gain. Each is proposed with and without dry friction,
-        which a stiff servo overcomes at small errors.
-        """
-        if not at.is_nominal or at.servo != "position":
-            return
-        dry: Mapping[str, Mapping[str, float]] = {"coulomb_friction": {"coulomb": _COULOMB_START}}
-        for ratio in _STIFFNESS_RATIOS:
-            # The damping of a mode is proportional to the root of its stiffness.
-            soft = np.array([ratio - 1.0, np.sqrt(ratio) - 1.0])
-            yield Start(soft)
-            yield Start(soft, dry)
 
     def with_other(
         self, own: Mapping[str, float], effect: str, other: Mapping[str, float]

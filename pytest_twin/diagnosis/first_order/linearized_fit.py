@@ -6,6 +6,7 @@ and the resulting deviations are linearized.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import ResidualView
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
 from pytest_twin.estimation.deadline import check_deadline
-from pytest_twin.estimation.hypothesis import Hypothesis
+from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import finite_differences, propose_steps, weighted_cost
 from pytest_twin.realization.executor import Forks
 from pytest_twin.realization.forks import free_cores
@@ -68,21 +69,26 @@ def fit_linearized(
     fits = [LinearizedFit(h, r) for h, r in zip(starts, residuals, strict=True)]
     target = {id(f): t for f, t in zip(fits, targets, strict=True)}
     active = [f for f in fits if f.hypothesis.theta.size]
+    # Starts are one hypothesis with a few terms exchanged. Derivatives by the terms that they share
+    # are taken once: a quasi-Newton step needs no better ones.
+    places = {id(f): _places_of(f.hypothesis) for f in active}
+    counts = Counter(place for each in places.values() for place in each)
+    shared = dict[_Place, FloatArray]()
     for _ in range(iterations):
         if not active:
             break
-        perturbations = [finite_differences(f.hypothesis) for f in active]
-        moved = iter(_differences(linear, [row for rows, _ in perturbations for row in rows]))
+        slopes = _slopes(
+            linear,
+            [f.hypothesis for f in active],
+            [target[id(f)] - f.residual for f in active],
+            [[p if counts[p] > 1 else None for p in places[id(f)]] for f in active],
+            shared,
+        )
         weights: list[FloatArray] = []
         tried: list[Hypothesis] = []
         ends = [0]
-        for f, (_, steps) in zip(active, perturbations, strict=True):
+        for f, slope in zip(active, slopes, strict=True):
             weight = 1.0 / np.sqrt(np.nanmean(f.residual**2, axis=0) + view.floor**2)
-            here = target[id(f)] - f.residual
-            slope = np.zeros((*here.shape, f.hypothesis.theta.size))
-            for column, s in zip(np.flatnonzero(f.hypothesis.is_estimated), steps, strict=True):
-                slope[..., column] = (next(moved) - here) / s
-            slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
             weights.append(weight)
             tried += propose_steps(f.hypothesis, f.residual, slope, weight, _DAMPINGS)
             ends.append(len(tried))
@@ -112,15 +118,56 @@ def linearized_slopes(linear: Linearization, hypotheses: Sequence[Hypothesis]) -
     Raises:
         OutOfTime: the time of the search is over.
     """
-    perturbations = [finite_differences(h) for h in hypotheses]
     here = _differences(linear, hypotheses)
-    moved = iter(_differences(linear, [row for rows, _ in perturbations for row in rows]))
-    out = []
-    for h, base, (_, steps) in zip(hypotheses, here, perturbations, strict=True):
-        slope = np.zeros((*base.shape, h.theta.size))
-        for column, step in zip(np.flatnonzero(h.is_estimated), steps, strict=True):
-            slope[..., column] = (next(moved) - base) / step
-        out.append(np.nan_to_num(slope, posinf=0.0, neginf=0.0))
+    return _slopes(linear, hypotheses, here, [[None] * h.theta.size for h in hypotheses], {})
+
+
+_Place = tuple[Term, bytes, int]
+"""A term, its parameters, and the index of one of them."""
+
+
+def _places_of(h: Hypothesis) -> list[_Place]:
+    """The place of each parameter."""
+    return [
+        (t, h.theta[h.slice_of(t)].tobytes(), k) for t in h.terms for k in range(len(t.parameters))
+    ]
+
+
+def _slopes(
+    linear: Linearization,
+    hypotheses: Sequence[Hypothesis],
+    here: Sequence[FloatArray],
+    places: Sequence[Sequence[_Place | None]],
+    shared: dict[_Place, FloatArray],
+) -> list[FloatArray]:
+    """(bins, signals, parameters) derivatives of each prediction, by finite differences.
+
+    Args:
+        here: (bins, signals) difference that each hypothesis makes.
+        places: those parameters of each hypothesis whose derivatives others share.
+        shared: known derivatives of such parameters; new ones are added.
+    """
+    rows, todo, first = list[Hypothesis](), list[tuple[int, int, float]](), set(shared)
+    for at, h in enumerate(hypotheses):
+        columns = np.flatnonzero(h.is_estimated).tolist()
+        for column, row, step in zip(columns, *finite_differences(h), strict=True):
+            place = places[at][column]
+            if place in first:
+                continue
+            if place is not None:
+                first.add(place)
+            rows.append(row)
+            todo.append((at, column, step))
+    out = [np.zeros((*d.shape, h.theta.size)) for d, h in zip(here, hypotheses, strict=True)]
+    for moved, (at, column, step) in zip(_differences(linear, rows), todo, strict=True):
+        slope = np.nan_to_num((moved - here[at]) / step, posinf=0.0, neginf=0.0)
+        out[at][..., column] = slope
+        if (place := places[at][column]) is not None:
+            shared[place] = slope
+    for slope, each in zip(out, places, strict=True):
+        for column, place in enumerate(each):
+            if place is not None and place in shared:
+                slope[..., column] = shared[place]
     return out
 
 

@@ -32,6 +32,8 @@ from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
 _FIRST_ITERATIONS, _MORE_ITERATIONS = 1, 2
 """Iterations of the fits along the measured motion: of all neighbours, and of the best again."""
+_RANKED = 4
+"""Exchanges that are fitted along the motion, in multiples of those that are simulated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,15 +113,6 @@ def neighbours(
     exchanged = dict[_Form, LinearizedFit]()
     for fit in _exchanges(physics, incumbent, view, settings, is_possible):
         exchanged.setdefault(form_of(fit.hypothesis), fit)
-    different = {form: fit.hypothesis for form, fit in exchanged.items()}
-    for hypothesis in itertools.chain(
-        confused(physics, own),
-        physics.rewrites(own),
-        physics.sensor_effects(own, incumbent.mean_square),
-    ):
-        if has_given(hypothesis, physics.given):
-            different.setdefault(form_of(hypothesis), hypothesis)
-    different = {f: h for f, h in different.items() if is_possible(physics.size(h))}
     linear, seen = view.linear, view.residual
     of_incumbent = comparison.log_likelihood(seen.mean_square) - comparison.penalty(incumbent.size)
 
@@ -132,6 +125,18 @@ def neighbours(
         difference = float(np.nan_to_num(change / seen.floor, nan=np.inf).max())
         return Neighbour(each.hypothesis, score - of_incumbent, mean_square, difference)
 
+    # Many joints have many exchanges, and the normal equations already rank them.
+    ranked = sorted(map(neighbour, exchanged.values()), key=lambda n: -n.gain)
+    kept, _ = Quota.of(settings, _RANKED).divide(ranked)
+    different = {form_of(n.hypothesis): n.hypothesis for n in kept}
+    for hypothesis in itertools.chain(
+        confused(physics, own),
+        physics.rewrites(own),
+        physics.sensor_effects(own, incumbent.mean_square),
+    ):
+        if has_given(hypothesis, physics.given):
+            different.setdefault(form_of(hypothesis), hypothesis)
+    different = {f: h for f, h in different.items() if is_possible(physics.size(h))}
     if linear is None:
         # Candidates were simulated; nothing is known of the same physics in other words.
         return sorted(

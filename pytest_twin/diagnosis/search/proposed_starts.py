@@ -21,10 +21,8 @@ def starts_at(problem: Problem, own: Hypothesis, term: Term) -> list[Start]:
     stiffness = float(problem.simulator.models.world(problem.fit[:1]).stiffness[0, term.joint])
     scale = float(problem.scales.of["compliance"][term.joint])
     here = JointFit(
-        servo=str(problem.simulator.layout.servo[term.joint]),
         servo_compliance=1.0 / (stiffness * scale) if stiffness else 0.0,
         present=present,
-        is_nominal=not own.terms,
         longest_rest=max(
             _longest_rest(problem.simulator.segments[s], term.joint) for s in problem.fit
         ),

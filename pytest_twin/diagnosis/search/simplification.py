@@ -120,14 +120,17 @@ def split_terms(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def _special_cases(problem: Problem, hypothesis: Hypothesis, term: Term) -> dict[Term, FloatArray]:
-    """Special case of a term that the hypothesis lacks -> its scaled parameters."""
+    """Special case of a term that the hypothesis lacks -> its scaled parameters.
+
+    A law that cannot have the value is none: no torque constant is 1 % of the right one.
+    """
     out = {}
     for effect, special in term.law.special_cases(values_of(problem, hypothesis, term)).items():
         new = Term(effect, term.joint)
         if new not in hypothesis.terms:
             own = [special[p.name] / problem.scales.value(p, term.joint) for p in new.parameters]
-            bounds = zip(own, new.parameters, strict=True)
-            out[new] = np.array([np.clip(x, p.lower, p.upper) for x, p in bounds])
+            if all(p.lower <= x <= p.upper for x, p in zip(own, new.parameters, strict=True)):
+                out[new] = np.array(own)
     return out
 
 

@@ -9,10 +9,10 @@ from functools import partial
 import numpy as np
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.equation_error import first_values
 from pytest_twin.diagnosis.problem import CandidateMask, Problem
 from pytest_twin.effects import Effect, Parameter, catalogue, in_order_of_fields
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
-from pytest_twin.identification.simulation.equation_error import first_values
 from pytest_twin.identification.stages import StageName
 
 SIMULATED: tuple[StageName, ...] = ("delay", "encoder", "gravity", "inertia", "friction", "drive")

@@ -8,6 +8,7 @@ simulation error has many minima; these values are near the right one.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import mujoco
@@ -15,9 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
+from pytest_twin.diagnosis.build_problem import residuals_everywhere
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.smoothing import derivatives
+from pytest_twin.effects.actuation import ControllerGain
+from pytest_twin.effects.friction import CoulombFriction
 from pytest_twin.effects.segment import Segment
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 
 _SMOOTH = 0.05
 """Time over which positions are smoothed before they are differentiated, s."""
@@ -29,9 +34,50 @@ _UNSATURATED = 0.98
 gain."""
 _FEWEST_ROWS = 50
 """Smallest number of unsaturated samples; there are five unknowns."""
+_NEAR = 3.0
+"""Ratio to the model's gain within which derivatives around the model lead to the right gain."""
+_MULTIPLES = (1.0, 2.0, 4.0)
+"""Multiples of the gain by the equation error, which a delay of the recording makes too small."""
 _LARGEST_GAIN = 5.0
 """Largest ratio to the model's gain, as in the catalogue; above it the motion does not determine
 the gain."""
+
+
+def distant_gains(problem: Problem) -> Hypothesis:
+    """Servo gains far from the model's, and dry friction beside them, from the equation error.
+
+    A servo that is too stiff by far follows its command in the model, and no derivative along that
+    motion leads to the right gain. Where the motion does not show the gain, the others' is tried:
+    a model has the same servo at many joints. Empty where gains are near or no better.
+    """
+    values = first_values(problem)
+    gain, dry = values[:, 0], values[:, 2]
+    with np.errstate(invalid="ignore"):
+        far = (gain * _NEAR < 1.0) | (gain > _NEAR)
+    if not far.any():
+        return EMPTY
+    usual = np.median(gain[far]), np.median(dry[far])
+    tried = [EMPTY]
+    for multiple, is_dry in itertools.product(_MULTIPLES, (False, True)):
+        terms = dict[Term, FloatArray]()
+        for joint in np.flatnonzero(far | np.isnan(gain)).tolist():
+            if problem.simulator.layout.servo[joint] != "position":
+                continue
+            own_gain, own_dry = (gain[joint], dry[joint]) if far[joint] else usual
+            gains, friction = Term(ControllerGain.id, joint), Term(CoulombFriction.id, joint)
+            # The damping of a mode is proportional to the root of its stiffness.
+            ratio = np.array([multiple * own_gain, np.sqrt(multiple * own_gain)])
+            terms[gains] = np.clip(ratio - 1.0, *EMPTY.with_term(gains, ratio).bounds)
+            level = own_dry / problem.scales.value(friction.parameters[0], joint)
+            if is_dry and level > 0.0:
+                terms[friction] = np.array([level])
+        tried.append(EMPTY.with_terms(terms))
+    left = np.array([residuals_everywhere(problem, h)[:, : len(gain)] for h in tried])
+    best = np.argmin(np.nan_to_num(np.mean(left**2, axis=1), nan=np.inf), axis=0)
+    return EMPTY.with_terms({
+        t: h.theta[h.slice_of(t)]
+        for at, h in enumerate(tried) for t in h.terms if best[t.joint] == at
+    })  # fmt: skip
 
 
 def first_values(problem: Problem) -> FloatArray:
