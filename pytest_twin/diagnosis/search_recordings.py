@@ -13,6 +13,7 @@ from pytest_twin.diagnosis.conclusion import ChosenModel
 from pytest_twin.diagnosis.equation_error import distant_gains
 from pytest_twin.diagnosis.findings import order_by_whole_motions
 from pytest_twin.diagnosis.first_answer import hypothesis_of
+from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
 from pytest_twin.diagnosis.intervals import parameter_uncertainty
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.noise_levels import label
@@ -35,6 +36,7 @@ from pytest_twin.diagnosis.search.search import Search, SearchOutcome
 from pytest_twin.diagnosis.search.settings import SETTINGS
 from pytest_twin.diagnosis.search.simplification import as_settings
 from pytest_twin.diagnosis.search_result import SearchResult, build_result
+from pytest_twin.diagnosis.servo_priors import combine, contradicted_terms
 from pytest_twin.diagnosis.simulated_recordings import with_detected_timestep
 from pytest_twin.diagnosis.simulation_settings import (
     FRICTION_CREEP_NOTE,
@@ -50,7 +52,7 @@ from pytest_twin.diagnosis.window_settings import WINDOWS
 from pytest_twin.diagnosis.windows import WINDOW
 from pytest_twin.errors import RecordingError
 from pytest_twin.estimation.deadline import OutOfTime
-from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import FittedModel, fit, weighted_cost
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import CommandBetween
@@ -337,6 +339,7 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
                 found = replace(found, incumbent=renamed)
         found = _with_special_cases(physics, found, is_late=is_late)
         found = _with_settings(physics, found, is_late=is_late)
+        found = _with_known_servos(physics, found, is_late=is_late)
         model = found.incumbent
         fitted, here = _fitted(problem, model), problem.at(model.hypothesis)
         refitted = _refit_without_each(here, fitted, 1 if is_late else _REFIT_ITERATIONS)
@@ -344,9 +347,8 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
             t: np.mean(f.residual**2, axis=0)
             for t, f in zip(model.hypothesis.terms, refitted, strict=True)
         }
-        rejected = rejections(
-            model, found.nominal, without, parameter_uncertainty(here, fitted), physics
-        )
+        uncertainty = combine(here, fitted, parameter_uncertainty(here, fitted)).uncertainty
+        rejected = rejections(model, found.nominal, without, uncertainty, physics)
         if not rejected:
             break
         notes += [f"rejected: {label(problem, t)}: {why}" for t, why in rejected.items()]
@@ -370,7 +372,8 @@ def _with_special_cases(
             continue
         simpler = _refit(physics, found, special, is_late=is_late)
         refused = physics.refusals(model.hypothesis).keys() - set(special.terms)
-        if refused or not found.is_better(model, simpler):
+        contradicts = simpler.size.surprise - model.size.surprise >= SETTINGS.earns
+        if refused or not (contradicts or found.is_better(model, simpler)):
             return _with_special_cases(physics, replace(found, incumbent=simpler), is_late=is_late)
     return found
 
@@ -393,6 +396,37 @@ def _with_settings(
             found.pool.add(model)
             return _with_settings(physics, replace(found, incumbent=setting), is_late=is_late)
     return found
+
+
+def _with_known_servos(
+    physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool
+) -> SearchOutcome:
+    """The outcome with an effect that is confused with an error of a servo, if the servo is known.
+
+    Where both predict the same, what is known of the servo decides between friction of the joint
+    and other damping of the servo. The score has the priors.
+    """
+    model = found.incumbent
+    tried = [
+        Term(effect, term.joint)
+        for term in contradicted_terms(physics.problem, model.hypothesis)
+        for effect in term.law.confused_with
+    ]
+    possible = set(physics.candidates) - set(model.hypothesis.terms)
+    others = [t for t in dict.fromkeys(tried) if t in possible]
+    models = [
+        _refit(
+            physics, found, model.hypothesis.with_term(t, starts_in_first_form(t)[0]),
+            is_late=is_late,
+        )
+        for t in others
+    ]  # fmt: skip
+    allowed = [m for m in models if m.is_finite and physics.is_possible(m.hypothesis)]
+    best = max(allowed, key=lambda m: m.score, default=model)
+    if best.score <= model.score:
+        return found
+    found.pool.add(best)
+    return _with_known_servos(physics, replace(found, incumbent=best), is_late=is_late)
 
 
 def _inexpressible(hypothesis: Hypothesis) -> int:
