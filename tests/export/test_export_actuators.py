@@ -294,23 +294,6 @@ def test_newton_follows_the_held_out_recording_as_the_diagnosed_model(
         assert row["difference"] <= 0.05, row
 
 
-@pytest.mark.skipif(NEWTON not in os.environ, reason=f"{NEWTON} names no environment with newton")
-def test_newton_reads_the_layer(robot: Robot, tmp_path: Path) -> None:
-    effects: list[Effect] = [*EFFECTS, ("command_delay", 1, {"delay": 0.0213})]
-    out, _ = exported(robot, tmp_path, "newton", effects)
-    script = Path(__file__).with_name("foreign") / "load_newton.py"
-    run = subprocess.run(
-        [os.environ[NEWTON], str(script), str(out / "newton_actuators.usda"), "left", "right"],
-        capture_output=True, text=True, timeout=240, check=False,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr[-2000:]
-    found = json.loads(run.stdout.splitlines()[-1])
-    assert found["right"]["drive"]["kp"] == pytest.approx(7.8)
-    assert found["right"]["friction"] == pytest.approx(0.1)
-    assert {item["class"] for item in found["right"]["others"]} == {"ClampingMaxEffort", "Delay"}
-    assert found["left"]["target"] == "/ROBOT/Physics/left"
-
-
 def test_playground_gets_what_mjx_has_and_the_rest_is_lost(robot: Robot, tmp_path: Path) -> None:
     effects: list[Effect] = [
         ("backlash", 0, {"gap": 0.05, "tooth_compliance": 0.01}),
