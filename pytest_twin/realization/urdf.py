@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -201,6 +202,10 @@ def check_depth(robot: Node, ends: Iterable[tuple[str, str]], most: int) -> None
         )
 
 
+_SUBSTITUTION = re.compile(r"\$\((?:arg|env|optenv|eval|dirname)\b|\$\{")
+"""Substitutions of xacro beside ``$(find PACKAGE)``, which is resolved without xacro."""
+
+
 def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
     """The ``robot`` element of a URDF file; its values are not checked.
 
@@ -222,7 +227,23 @@ def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
         for node in root.walk():
             if node.tag.startswith("xacro:"):
                 raise node.error("a xacro macro, not a URDF", expected="the output of `xacro`")
+    _refuse_substitutions(root)
     return root
+
+
+def _refuse_substitutions(robot: Node) -> None:
+    """Refuse a part of a xacro file, whose paths and numbers only the whole file gives."""
+    for part in (*robot.all("link"), *robot.all("joint")):
+        for node in part.walk():
+            for name, value in node.attributes.items():
+                if _SUBSTITUTION.search(value):
+                    raise node.error(
+                        "a substitution of xacro, not a URDF",
+                        name,
+                        value=value,
+                        expected="the xacro file that includes this one (--xacro ARG:=VALUE gives "
+                        "an argument), or the output of `xacro`",
+                    )
 
 
 def rotation(rpy: Vector) -> Vector:

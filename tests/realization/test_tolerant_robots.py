@@ -73,6 +73,17 @@ def test_elements_with_a_namespace_prefix_are_kept_and_reported(
     assert ("tree.not_well_formed" in codes) == (f"xmlns:{prefix}" not in declared)
 
 
+@pytest.mark.parametrize("value", ["$(arg meshes)/a.stl", "${side}/a.stl", "$(env HOME)/a.stl"])
+def test_a_part_of_a_xacro_file_is_refused(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "tool.urdf"
+    path.write_text(
+        '<robot name="tool"><link name="a"><visual><geometry>\n'
+        f'<mesh filename="{value}"/></geometry></visual></link></robot>'
+    )
+    with pytest.raises(TwinError, match=r"tool\.urdf:2: .*substitution of xacro.*includes this"):
+        load(path)
+
+
 def test_an_unexpanded_xacro_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.urdf"
     path.write_text('<robot name="a"><xacro:include filename="b.xacro"/></robot>')
