@@ -141,6 +141,19 @@ def test_a_stream_that_was_averaged_over_time_is_rejected(tmp_path, stream, coun
     assert width == pytest.approx(1e3 * period * np.sqrt((count**2 - 1) / 12), rel=0.2)
 
 
+def test_what_no_residual_shows_is_a_condition_of_each_record(tmp_path, capsys):
+    write_streams(tmp_path)
+    _, found = calibrated(tmp_path)
+    delay = "no filter delays one stream more than the other"
+    assert found["verdict"] == "accepted"
+    for record in found["records"].values():
+        assert any(condition.startswith(delay) for condition in record["holds_if"])
+    out = capsys.readouterr().out
+    assert out.startswith("Accepted on condition: clocks")
+    assert f"  if {delay}" in out
+    assert f"on condition that {delay}" in (tmp_path / "out" / "calibration.html").read_text()
+
+
 @pytest.mark.parametrize("inverted", [False, True])
 def test_time_offset_and_hand_eye_pose_are_estimated_with_valid_intervals(tmp_path, inverted):
     write_streams(tmp_path, inverted=inverted)
