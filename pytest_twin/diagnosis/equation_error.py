@@ -192,6 +192,8 @@ def _solve_robustly(rows: FloatArray, effort: FloatArray, limits: FloatArray) ->
         than ``_LARGEST_GAIN``.
     """
     none = np.full(5, np.nan)
+    if len(rows) < _FEWEST_ROWS:
+        return none
     use = _is_unsaturated(effort, limits)
     if use.mean() < 0.5:
         use[:] = True

@@ -21,6 +21,7 @@ class JointFit:
     """The present fit at one joint whose residual is above the noise floor.
 
     Attributes:
+        servo: command mode of the joint's drive; ``none`` without a drive.
         servo_compliance: reciprocal of the servo's stiffness, in multiples of the reference
             ``compliance``; 0 without a servo.
         present: parameters of the effect in the fit, in multiples of references; None if the fit
@@ -28,6 +29,7 @@ class JointFit:
         longest_rest: longest time for which the joint's command is constant, s.
     """
 
+    servo: str
     servo_compliance: float
     present: Mapping[str, float] | None
     longest_rest: float

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -163,8 +164,8 @@ class Hypothesis:
     @property
     def is_estimated(self) -> NDArray[np.bool_]:
         """(parameters,) whether a fit estimates each of them."""
-        parts = [t.is_estimated(self.theta[self.slice_of(t)]) for t in self.terms]
-        return np.concatenate([np.empty(0, dtype=bool), *parts])
+        parts = zip(self.terms, self._parts(self.theta), strict=True)
+        return np.concatenate([np.empty(0, dtype=bool), *(t.is_estimated(own) for t, own in parts)])
 
     @property
     def sizes(self) -> FloatArray:
@@ -184,13 +185,21 @@ class Hypothesis:
     @property
     def coordinates(self) -> FloatArray:
         """(parameters,) coordinates in which the laws are closer to linear; a fit steps in them."""
-        parts = [t.law.coordinates(self.theta[self.slice_of(t)]) for t in self.terms]
-        return np.concatenate([np.empty(0), *parts])
+        parts = zip(self.terms, self._parts(self.theta), strict=True)
+        return np.concatenate([np.empty(0), *(t.law.coordinates(own) for t, own in parts)])
 
     def from_coordinates(self, coordinates: FloatArray) -> FloatArray:
         """The inverse of :attr:`coordinates`, for the same terms."""
-        parts = [t.law.from_coordinates(coordinates[self.slice_of(t)]) for t in self.terms]
-        return np.concatenate([np.empty(0), *parts])
+        parts = zip(self.terms, self._parts(coordinates), strict=True)
+        return np.concatenate([np.empty(0), *(t.law.from_coordinates(own) for t, own in parts)])
+
+    def _parts(self, values: FloatArray) -> list[FloatArray]:
+        """(parameters,) values by term."""
+        counts = [len(t.parameters) for t in self.terms]
+        return [
+            values[end - count : end]
+            for end, count in zip(itertools.accumulate(counts), counts, strict=True)
+        ]
 
     def slice_of(self, term: Term) -> slice:
         """Slice of a term's parameters in ``theta``.

@@ -242,8 +242,8 @@ def propose_steps(
         weights: (signals,) reciprocal standard deviations.
         dampings: relative to the diagonal of the normal matrix.
     """
-    damped_steps = [propose_step(h, residual, jacobian, weights, d) for d in dampings]
-    return damped_steps + distant_steps(h)
+    equations = _step_equations(h, residual, jacobian, weights)
+    return [_damped_step(h, *equations, d) for d in dampings] + distant_steps(h)
 
 
 def distant_steps(h: Hypothesis) -> list[Hypothesis]:
@@ -271,7 +271,16 @@ def propose_step(
     A parameter at a bound stays there if its step points outwards. The hypothesis is unchanged if
     the normal matrix overflows. Arguments are as in :func:`propose_steps`.
     """
-    lower, upper = h.bounds
+    return _damped_step(h, *_step_equations(h, residual, jacobian, weights), damping)
+
+
+def _step_equations(
+    h: Hypothesis, residual: FloatArray, jacobian: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Normal matrix and gradient in the coordinates of the laws, and whether parameters are free.
+
+    No parameter is free if the normal matrix overflows.
+    """
     slopes = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
     a = slopes @ _coordinate_jacobian(h)
     b = np.nan_to_num(residual * weights).ravel()
@@ -279,8 +288,20 @@ def propose_step(
     moves = np.sqrt(np.mean(slopes**2, axis=0)) * h.sizes
     # The Jacobian of a discrete choice is rounding error too.
     free = h.is_estimated & (moves > _NEGLIGIBLE_CHANGE * np.sqrt(np.mean(b**2)))
-    if not np.isfinite(normal).all() or not free.any():
+    return normal, gradient, free & bool(np.isfinite(normal).all())
+
+
+def _damped_step(
+    h: Hypothesis,
+    normal: FloatArray,
+    gradient: FloatArray,
+    free: NDArray[np.bool_],
+    damping: float,
+) -> Hypothesis:
+    """The step of :func:`propose_step` from its equations."""
+    if not free.any():
         return h
+    (lower, upper), free = h.bounds, free.copy()
     theta = h.theta.copy()
     for _ in range(h.theta.size):
         n = normal[np.ix_(free, free)]
@@ -303,6 +324,11 @@ def propose_step(
 
 def _coordinate_jacobian(h: Hypothesis) -> FloatArray:
     """(parameters, parameters) Jacobian of the parameters with respect to their coordinates."""
-    here = h.coordinates
-    moved = [h.from_coordinates(here + _COORDINATE_STEP * e) for e in np.eye(h.theta.size)]
-    return np.array(moved).T / _COORDINATE_STEP - h.theta[:, None] / _COORDINATE_STEP
+    out, at = np.zeros((h.theta.size, h.theta.size)), 0
+    for term in h.terms:
+        own = h.theta[at : at + len(term.parameters)]
+        here, place = term.law.coordinates(own), slice(at, at + len(own))
+        moved = [term.law.from_coordinates(here + _COORDINATE_STEP * e) for e in np.eye(len(own))]
+        out[place, place] = (np.array(moved).T - own[:, None]) / _COORDINATE_STEP
+        at += len(own)
+    return out

@@ -150,6 +150,9 @@ class LinearPhysics:
     ) -> list[tuple[Term, Hypothesis]]:
         return []
 
+    def within_totals(self, hypothesis: Hypothesis) -> Hypothesis:
+        return hypothesis
+
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         return self.refused(hypothesis)
 

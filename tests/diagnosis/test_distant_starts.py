@@ -10,10 +10,12 @@ from searched import named
 from two_pendulums import JOINTS, KP, KV, case, mjcf
 
 from pytest_twin.diagnosis.diagnose import diagnose
+from pytest_twin.diagnosis.equation_error import distant_gains
 from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.search.simplification import special_cases
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
-from pytest_twin.estimation.hypothesis import Hypothesis, Term
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.formats.mcap import TOPICS
 from pytest_twin.loaded_model import load_model
 from pytest_twin.realization import Realization
@@ -40,6 +42,38 @@ def read(folder: Path) -> tuple[Realization, TrialSet]:
 def problem_of(folder: Path) -> Problem:
     realization, trials = read(folder)
     return prepare(realization, trials.fit, trials.held_out, threads=1).problem
+
+
+def test_the_equation_error_is_near_gains_that_are_far_from_the_models(tmp_path: Path) -> None:
+    start = distant_gains(problem_of(case_with_wrong_gains(tmp_path, STIFFER, MORE_DAMPED)))
+    for joint in range(len(JOINTS)):
+        gains = start.theta[start.slice_of(Term("controller_gain", joint))]
+        assert 0.3 < STIFFER * (1.0 + gains[0]) < 3.0
+
+
+@pytest.mark.parametrize(
+    ("stiffer", "hidden"),
+    [(1.0, {"viscous": 0.3}), (1.0, {"dry": 0.2}), (1.5, {}), (0.7, {"dry": 0.2})],
+    ids=["viscous friction", "dry friction", "stiffer", "softer, with dry friction"],
+)
+def test_gains_that_derivatives_lead_to_have_no_start(
+    tmp_path: Path, stiffer: float, hidden: dict[str, float]
+) -> None:
+    problem = problem_of(case_with_wrong_gains(tmp_path, stiffer, 1.0, **hidden))
+    assert not distant_gains(problem).terms
+
+
+def test_a_torque_constant_is_no_special_case_of_a_gain_that_it_cannot_have(
+    tmp_path: Path,
+) -> None:
+    problem = problem_of(case_with_wrong_gains(tmp_path, STIFFER, MORE_DAMPED))
+    term = Term("controller_gain", 0)
+    near, far = (
+        special_cases(problem, EMPTY.with_term(term, np.array([error, -0.5])))
+        for error in (-0.5, -0.98)
+    )
+    assert {t.effect for h in near for t in h.terms} == {"torque_constant"}
+    assert not far
 
 
 def test_right_servo_gains_are_not_named_beside_another_effect(tmp_path: Path) -> None:

@@ -35,6 +35,8 @@ OTHER_MEANINGS = {
     ("native.py", "armature"),
     # The name of the rotor inertia in a note.
     ("physical_totals.py", "armature"),
+    # A parameter of a servo in the library.
+    ("servo_priors.py", "armature"),
 }
 
 

@@ -154,11 +154,12 @@ class _Group:
     """Sensitivities with the same number of amplitudes, for batched algebra.
 
     Attributes:
+        which: (sensitivities,) their indices.
         columns: (sensitivities, amplitudes) indices of their columns.
         own: (signals, sensitivities, amplitudes, amplitudes) inner products among their columns.
     """
 
-    which: list[int]
+    which: NDArray[np.int64]
     columns: NDArray[np.int64]
     own: FloatArray
 
@@ -203,7 +204,10 @@ class CandidateSensitivities:
         return frozenset(r.term for r in self.responses if r.term.law.is_elastic_transmission)
 
     def _group(self, count: int) -> _Group:
-        which = [i for i, r in enumerate(self.responses) if len(r.amplitude_indices) == count]
+        which = np.array(
+            [i for i, r in enumerate(self.responses) if len(r.amplitude_indices) == count],
+            dtype=np.int64,
+        )
         columns = np.array([np.arange(self.at[i].start, self.at[i].stop) for i in which])
         block = self.columns[:, columns].astype(np.float64)
         return _Group(which, columns, np.matmul(block, block.swapaxes(-1, -2)))
@@ -371,32 +375,34 @@ class NormalEquations:
         ]
         with_base = np.concatenate(cross_products, axis=2)
         misfit = np.full((len(candidate_sensitivities.responses), len(self.squared)), np.inf)
-        for group in candidate_sensitivities.groups:
-            m = group.columns.shape[1]
-            k = len(group.which)
-            normal = np.empty((len(self.squared), k, p + m, p + m))
-            normal[:, :, :p, :p] = base[:, None]
-            side = with_base[:, group.columns]
-            normal[:, :, p:, :p] = side
-            normal[:, :, :p, p:] = side.swapaxes(-1, -2)
-            normal[:, :, p:, p:] = group.own
-            right = np.concatenate(
-                [np.repeat(base_right[:, None], k, axis=1), self.with_residual[:, group.columns]],
-                axis=2,
-            )
-            lower = np.concatenate(
-                [np.full((k, p), -np.inf), candidate_sensitivities.lower[group.columns]], axis=1
-            )
-            upper = np.concatenate(
-                [np.full((k, p), np.inf), candidate_sensitivities.upper[group.columns]], axis=1
-            )
-            _, mean_square = self._solve(normal, right, lower, upper)
-            misfit[group.which] = np.log(np.maximum(mean_square, floor**2))
         excluded = {*parent.starts, *excluded}
         new = np.array(
             [r.term not in excluded for r in candidate_sensitivities.responses], dtype=bool
         )
-        possible = np.flatnonzero(new & np.isfinite(misfit).all(axis=1))
+        for group in candidate_sensitivities.groups:
+            added = new[group.which]
+            if not added.any():
+                continue
+            columns, which = group.columns[added], group.which[added]
+            k, m = columns.shape
+            normal = np.empty((len(self.squared), k, p + m, p + m))
+            normal[:, :, :p, :p] = base[:, None]
+            side = with_base[:, columns]
+            normal[:, :, p:, :p] = side
+            normal[:, :, :p, p:] = side.swapaxes(-1, -2)
+            normal[:, :, p:, p:] = group.own[:, added]
+            right = np.concatenate(
+                [np.repeat(base_right[:, None], k, axis=1), self.with_residual[:, columns]], axis=2
+            )
+            lower = np.concatenate(
+                [np.full((k, p), -np.inf), candidate_sensitivities.lower[columns]], axis=1
+            )
+            upper = np.concatenate(
+                [np.full((k, p), np.inf), candidate_sensitivities.upper[columns]], axis=1
+            )
+            _, mean_square = self._solve(normal, right, lower, upper)
+            misfit[which] = np.log(np.maximum(mean_square, floor**2))
+        possible = np.flatnonzero(np.isfinite(misfit).all(axis=1))
         if not len(possible):
             return []
         closest = int(possible[np.argmin(misfit[possible].sum(axis=1))])

@@ -214,11 +214,11 @@ def _exchanges(
     elastic = view.sensitivities.elastic_transmissions
     rigid = {r.term for r in view.sensitivities.responses} - elastic
     for removed, rest, left in zip(removed_sets, reduced, residuals, strict=True):
-        if removed:
-            yield LinearizedFit(rest, left)
         slope = seen.jacobian[:, :, own.parameters_without(*removed)]
         part = ResidualView(left, slope, seen.floor, seen.lengths)
         equations = NormalEquations(part, view.sensitivities)
+        if removed:
+            yield LinearizedFit(rest, equations.base.residual)
         if elastic:
             for chosen in equations.children(
                 equations.base, 2 * settings.of_each_elastic, excluded=rigid

@@ -161,6 +161,12 @@ class Physics(Protocol):
     ) -> list[tuple[Term, Hypothesis]]:
         """Starts that effects propose at unexplained joints, by the effect that proposes them."""
 
+    def within_totals(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis, with zero for negative totals of model and given effects.
+
+        A fit along the motion may end there, where another given effect compensates.
+        """
+
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         """Effects with impossible totals or outside the recorded range, and the reason of each."""
 
@@ -292,7 +298,7 @@ class SimulatedPhysics:
             (fitted,) = fit(bounded, [found], weights, here.fit, iterations=iterations)
             found = with_largest_back_emf(self.problem, fitted.hypothesis)
         # A negative total shows that a given effect compensates for one that is missing.
-        found = found.with_theta(without_negative_totals(self.problem, found))
+        found = self.within_totals(found)
         (last,) = self.simulate([found], found)
         return found, last, fitted.jacobian
 
@@ -417,6 +423,12 @@ class SimulatedPhysics:
                 if t.joint == joint
             }
         )
+
+    def within_totals(self, hypothesis: Hypothesis) -> Hypothesis:
+        """As :meth:`Physics.within_totals`."""
+        if not self.given:
+            return hypothesis
+        return hypothesis.with_theta(without_negative_totals(self.problem, hypothesis))
 
     def refusals(self, hypothesis: Hypothesis) -> Mapping[Term, str]:
         """As :meth:`Physics.refusals`."""

@@ -21,6 +21,7 @@ def starts_at(problem: Problem, own: Hypothesis, term: Term) -> list[Start]:
     stiffness = float(problem.simulator.models.world(problem.fit[:1]).stiffness[0, term.joint])
     scale = float(problem.scales.of["compliance"][term.joint])
     here = JointFit(
+        servo=str(problem.simulator.layout.servo[term.joint]),
         servo_compliance=1.0 / (stiffness * scale) if stiffness else 0.0,
         present=present,
         longest_rest=max(

@@ -694,6 +694,7 @@ class Search:
         self, hypotheses: Sequence[Hypothesis], corrected_at: Hypothesis, origin: str
     ) -> list[Model]:
         """Simulated models, which enter the pool."""
+        hypotheses = [self.physics.within_totals(h) for h in hypotheses]
         residuals = self.physics.simulate(hypotheses, corrected_at) if hypotheses else []
         models = [
             self._model(h, r, origin, corrected_at)
