@@ -14,6 +14,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.effort_units import without_unscaled
 from pytest_twin.diagnosis.temperature import TEMPERATURE_KEY, parse_temperatures
 from pytest_twin.errors import RecordingError
+from pytest_twin.estimation.roles import NOTHING_HELD_OUT
 from pytest_twin.identification.effort.amounts import without_amounts
 from pytest_twin.identification.effort.filtering import low_passed, resample_uniformly
 from pytest_twin.identification.measured_recordings import (
@@ -23,6 +24,7 @@ from pytest_twin.identification.measured_recordings import (
 from pytest_twin.identification.roles import NO_PAYLOAD, reduce_to_common_joints
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.trial.repeated_motion import overlaps, without_repeated
 
 FEWEST_SESSIONS = 3
 """Fewest earlier sessions that can be compared with each other."""
@@ -94,17 +96,20 @@ def read_compared(
         TwinError: a recording cannot be read.
     """
     notes: list[str] = []
-    groups = [
-        _without_copies(
-            [
-                one
-                for path in dict.fromkeys(paths)
-                for one in read_measured(path, realization, topics, options, options.signals)
-            ],
-            notes,
-        )
+    read_before, read_new, read_held_out = (
+        [
+            one
+            for path in dict.fromkeys(paths)
+            for one in read_measured(path, realization, topics, options, options.signals)
+        ]
         for paths in (before, new, held_out)
+    )
+    groups = [
+        without_repeated(read_before, [], notes)[0],
+        *without_repeated(read_new, read_held_out, notes),
     ]
+    if read_held_out and not groups[2]:
+        notes.append(NOTHING_HELD_OUT)
     for one in (*groups[0], *groups[1], *groups[2]):
         if one.base is not None:
             raise RecordingError(
@@ -113,15 +118,8 @@ def read_compared(
                 where="pose of the base",
                 expected="recordings of a robot with its base fixed to the ground or to a rig",
             )
-    earlier = {one.content: one for one in groups[0]}
-    for one in (*groups[1], *groups[2]):
-        if (same := earlier.get(one.content)) is not None:
-            raise RecordingError(
-                f"the same recording is given with --before, as {same.path.name}",
-                path=one.path,
-                expected="other recordings before and after the change",
-            )
     later = [*groups[1], *groups[2]]
+    _refuse_copies(groups[0], later)
     if has_efforts([*groups[0], *later]):
         notes += undeclared_payload_notes(realization, groups[0], later)
     else:
@@ -140,15 +138,20 @@ def read_compared(
     )
 
 
-def _without_copies(
-    recordings: Sequence[MeasuredRecording], notes: list[str]
-) -> list[MeasuredRecording]:
-    kept: dict[str, MeasuredRecording] = {}
-    for one in recordings:
-        first = kept.setdefault(one.content, one)
-        if first is not one:
-            notes.append(f"left out: {one.path.name} has the content of {first.path.name}")
-    return list(kept.values())
+def _refuse_copies(before: Sequence[MeasuredRecording], later: Sequence[MeasuredRecording]) -> None:
+    """Refuse later recordings with a part of an earlier one: it would show that nothing changed.
+
+    Raises:
+        RecordingError: measurements of ``later`` are those of ``before``.
+    """
+    for one in later:
+        for same in before:
+            if overlaps(one, same):
+                raise RecordingError(
+                    f"the same recording is given with --before, as {same.path.name}",
+                    path=one.path,
+                    expected="other recordings before and after the change",
+                )
 
 
 class Described(Protocol):

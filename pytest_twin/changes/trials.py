@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
 
 from pytest_twin.changes.recordings import refuse_undeclared_payloads, temperature_notes
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
@@ -46,8 +43,8 @@ def read_compared_trials(
     """Read all recordings; roles in their metadata are ignored.
 
     Raises:
-        RecordingError: a recording is among the earlier and the later ones, the base moves, a
-            payload that changed is not declared, or the commands have other fields.
+        RecordingError: the base moves, a payload that changed is not declared, or the commands
+            have other fields.
         TwinError: a recording cannot be read.
     """
     structure, notes = realization.structure, list[str]()
@@ -56,7 +53,6 @@ def read_compared_trials(
         read_trials(new, held_out, topics, structure, options), realization, notes,
         has_tests=bool(held_out),
     )  # fmt: skip
-    _refuse_copies(old, (*later, *tests))
     refuse_undeclared_payloads(realization, old, [*later, *tests])
     notes += temperature_notes(old, later)
     for trial in (*later, *tests):
@@ -76,13 +72,13 @@ def read_compared_trials(
 def _read(
     read: TrialSet, realization: Realization, notes: list[str], *, has_tests: bool = False
 ) -> tuple[tuple[Trial, ...], tuple[Trial, ...]]:
-    """Recordings to compare and test recordings, without efforts and without copies."""
+    """Recordings to compare and test recordings, without efforts."""
     read = drop_other_units(realization, read, notes)
     notes += [note for note in read.notes if note.startswith("left out: ")]
     # Without --held-out a role only says how a diagnosis would have used the recording.
     fit = read.fit if has_tests else (*read.fit, *read.held_out)
-    kept = dict[str, Trial]()
-    for trial in sorted(fit, key=lambda t: (str(t.path), t.offset)):
+    fit = tuple(sorted(fit, key=lambda t: (str(t.path), t.offset)))
+    for trial in fit:
         if trial.base is not None:
             raise RecordingError(
                 "the base of the robot moves; --before compares robots with a fixed base",
@@ -91,27 +87,8 @@ def _read(
                 expected="recordings of a robot with its base fixed to the ground or to a rig",
             )
         refuse_unfit_modes(realization.structure, trial)
-        first = kept.setdefault(_content(trial), trial)
-        if first is not trial:
-            notes.append(f"left out: {trial.path.name} has the content of {first.path.name}")
-    refuse_other_order(realization, list(kept.values()))
+    refuse_other_order(realization, list(fit))
     return tuple(
         tuple(replace(trial, effort=None) for trial in trials)
-        for trials in (kept.values(), read.held_out if has_tests else ())
+        for trials in (fit, read.held_out if has_tests else ())
     )  # type: ignore[return-value]
-
-
-def _content(trial: Trial) -> str:
-    """Key of what was measured, whatever the file is called and however it is stored."""
-    return hashlib.sha256(np.round(np.nan_to_num(trial.position), 9).tobytes()).hexdigest()
-
-
-def _refuse_copies(before: Sequence[Trial], later: Sequence[Trial]) -> None:
-    known = {_content(trial): trial for trial in before}
-    for trial in later:
-        if (same := known.get(_content(trial))) is not None:
-            raise RecordingError(
-                f"the same recording is given with --before, as {same.path.name}",
-                path=trial.path,
-                expected="other recordings before and after the change",
-            )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -117,14 +116,6 @@ class MeasuredRecording:
     def rate(self) -> float:
         """States per second."""
         return float(1.0 / np.median(np.diff(self.time)))
-
-    @property
-    def content(self) -> str:
-        """Key of what was measured, whatever the file is called and however it is stored."""
-        digest = hashlib.sha256()
-        for values in (self.position, self.effort):
-            digest.update(np.round(np.nan_to_num(values), 9).tobytes())
-        return digest.hexdigest()
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from pytest_twin.identification.roles import NO_PAYLOAD, reduce_to_common_joints
 from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.time_limit import skips
+from pytest_twin.trial.repeated_motion import without_repeated
 
 DATE_KEY = "date"
 ROBOT_KEYS = ("robot", "robot_id", "serial", "serial_number")
@@ -79,16 +80,11 @@ def read_sessions(
     """
     notes: list[str] = []
     read: list[MeasuredRecording] = []
-    contents: dict[str, Path] = {}
     for path in dict.fromkeys(paths):
         if skips(path.name):
             continue
-        for one in read_measured(path, realization, topics, options, options.signals):
-            first = contents.setdefault(one.content, one.path)
-            if first != one.path:
-                notes.append(f"left out: {one.path.name} has the content of {first.name}")
-                continue
-            read.append(one)
+        read += read_measured(path, realization, topics, options, options.signals)
+    read, _ = without_repeated(read, [], notes)
     if not read:
         raise RecordingError(
             "the time was over before a recording was read", path=paths[0],

@@ -129,6 +129,48 @@ def test_a_recording_that_is_both_before_and_new_is_refused(
     assert "the same recording is given with --before, as old2.csv" in capsys.readouterr().err
 
 
+def changed_copy(of: Path, to: Path, rows: slice, decimals: int) -> Path:
+    """Some rows of a recording, one hour later, with other decimals."""
+    table = np.loadtxt(of, delimiter=",", skiprows=1)[rows]
+    time = table[:, 0] - table[0, 0] + 3600.0
+    return write_recording(to, time, *np.split(np.round(table[:, 1:], decimals), 2, axis=1))
+
+
+@pytest.mark.parametrize("rows", [slice(None), slice(150, 400)], ids=["whole", "cut"])
+@pytest.mark.parametrize("is_among_earlier", [False, True], ids=["new", "before"])
+def test_a_changed_copy_is_no_second_recording(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], rows: slice,
+    is_among_earlier: bool,
+) -> None:  # fmt: skip
+    copied = changed_copy(robot / "old2.csv", tmp_path / "copy.csv", rows, 6)
+    if not is_among_earlier:
+        assert compare(robot, tmp_path / "out", copied)[0] == 2
+        assert "the same recording is given with --before, as old2.csv" in capsys.readouterr().err
+        return
+    new = record(tmp_path, "new.csv", 11)
+    _, document = compare(robot, tmp_path / "out", new, more=("--before", str(copied)))
+    assert document["alarm"]["degrees_of_freedom"] == EARLIER - 1
+    assert any(f"{copied}: its measured motion is that of" in note for note in document["notes"])
+
+
+def test_a_held_out_copy_of_a_new_recording_proves_nothing(robot: Path, tmp_path: Path) -> None:
+    new = record(tmp_path, "new.csv", 11, damping=3.0)
+    copied = changed_copy(new, tmp_path / "held_out.csv", slice(0, 300), 6)
+    _, document = compare(robot, tmp_path / "out", new, more=("--held-out", str(copied)))
+    assert document["findings"][0]["held_out_gain"] is None
+
+
+def test_a_motion_that_a_precise_machine_repeats_is_a_second_recording(
+    robot: Path, tmp_path: Path
+) -> None:
+    """The positions are those of an earlier recording, the efforts are measured again."""
+    table = np.loadtxt(robot / "old2.csv", delimiter=",", skiprows=1)
+    time, position, effort = table[:, 0], table[:, 1:3], table[:, 3:]
+    noise = 0.05 * np.random.default_rng(5).standard_normal(effort.shape)
+    again = write_recording(tmp_path / "again.csv", time, position, effort + noise)
+    assert compare(robot, tmp_path / "out", again)[0] == 0
+
+
 def test_a_fleet_with_earlier_recordings_is_refused(
     robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

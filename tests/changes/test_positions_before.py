@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from pytest_twin.cli import main
+from pytest_twin.formats.recording import TOPICS
+from pytest_twin.trial import recordings_at
 
 sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
 from two_pendulums import DECLARED, mjcf, record
@@ -163,6 +165,22 @@ def test_a_copy_of_an_earlier_recording_is_refused(
 ) -> None:
     copied = tmp_path / "renamed.mcap"
     copied.write_bytes((robot / "old2.mcap").read_bytes())
+    assert compare(robot, tmp_path / "out", copied)[0] == 2
+    assert "the same recording is given with --before, as old2.mcap" in capsys.readouterr().err
+
+
+def test_a_part_of_an_earlier_recording_saved_as_csv_is_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (recording,) = recordings_at(robot / "old2.mcap", TOPICS)
+    states, commands = (recording.series[role] for role in ("state", "command"))
+    assert states.position is not None
+    assert commands.position is not None
+    sent = commands.position[np.searchsorted(commands.stamp, states.stamp, side="right") - 1]
+    rows = np.column_stack([states.stamp * 1e-9, states.position, sent])[100:]
+    head = "time,left.position,left.command"
+    copied = tmp_path / "part.csv"
+    np.savetxt(copied, rows, fmt="%.6f", delimiter=",", header=head, comments="")
     assert compare(robot, tmp_path / "out", copied)[0] == 2
     assert "the same recording is given with --before, as old2.mcap" in capsys.readouterr().err
 

@@ -12,16 +12,17 @@ from pytest_twin.formats.recording import TOPICS
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import Trial, make_trials, recordings_at
 from pytest_twin.trial.repeated import is_repeated
-from pytest_twin.trial.repeated_motion import without_repeated
+from pytest_twin.trial.repeated_motion import overlaps, without_repeated
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Measured positions, rad."""
+    """Measured positions, rad, and efforts, N*m."""
 
     path: Path
     joints: tuple[str, ...]
     position: np.ndarray
+    effort: np.ndarray | None = None
 
 
 def trial(folder: Path, name: str, *, phase: float, seconds: float, jitter: float = 0.0) -> Trial:
@@ -84,3 +85,40 @@ def test_a_robot_at_rest_repeats_no_motion() -> None:
     rest = [recorded(f"{name}.mcap", np.full((600, 2), 0.3)) for name in "ab"]
     assert without_repeated(rest, [], notes) == (rest, [])
     assert notes == []
+
+
+@pytest.fixture
+def precise() -> Recorded:
+    """A motion without noise of its positions, and efforts with noise."""
+    time = 0.01 * np.arange(600)
+    motion = np.column_stack([np.sin(2.0 * time), np.cos(3.0 * time)])
+    noise = 0.02 * np.random.default_rng(3).standard_normal(motion.shape)
+    return Recorded(Path("first.mcap"), ("a", "b"), motion, 5.0 * motion + noise)
+
+
+def test_a_precise_machine_that_repeats_a_motion_has_other_efforts(precise: Recorded) -> None:
+    assert precise.effort is not None
+    again = Recorded(Path("again.mcap"), ("a", "b"), precise.position, precise.effort[::-1])
+    assert not overlaps(again, precise)
+    assert without_repeated([precise], [again], []) == ([precise], [again])
+
+
+@pytest.mark.parametrize("decimals", [4, 6])
+@pytest.mark.parametrize("rows", [slice(0, 300), slice(200, None, None)])
+def test_a_cut_copy_with_rounded_efforts_and_another_turn_overlaps(
+    precise: Recorded, rows: slice, decimals: int
+) -> None:
+    assert precise.effort is not None
+    copy = Recorded(
+        Path("cut.csv"), ("a", "b"), np.round(precise.position[rows] + [2.0 * np.pi, 0.0], 6),
+        np.round(precise.effort[rows], decimals),
+    )  # fmt: skip
+    assert overlaps(copy, precise)
+    without_effort = Recorded(Path("positions.csv"), ("a", "b"), copy.position)
+    assert overlaps(precise, without_effort)
+
+
+def test_recordings_with_one_part_in_common_overlap() -> None:
+    stream = np.random.default_rng(3).standard_normal((1000, 2))
+    assert overlaps(recorded("one.mcap", stream[:600]), recorded("next.mcap", stream[480:]))
+    assert not overlaps(recorded("one.mcap", stream[:600]), recorded("next.mcap", stream[560:]))
