@@ -282,10 +282,10 @@ def _step_equations(
     No parameter is free if the normal matrix overflows.
     """
     slopes = (jacobian * weights[:, None]).reshape(-1, h.theta.size)
-    a = slopes @ _coordinate_jacobian(h)
     b = np.nan_to_num(residual * weights).ravel()
-    normal, gradient = a.T @ a, a.T @ b
-    moves = np.sqrt(np.mean(slopes**2, axis=0)) * h.sizes
+    products, change = slopes.T @ slopes, _coordinate_jacobian(h)
+    normal, gradient = change.T @ products @ change, change.T @ (slopes.T @ b)
+    moves = np.sqrt(np.diag(products) / len(b)) * h.sizes
     # The Jacobian of a discrete choice is rounding error too.
     free = h.is_estimated & (moves > _NEGLIGIBLE_CHANGE * np.sqrt(np.mean(b**2)))
     return normal, gradient, free & bool(np.isfinite(normal).all())

@@ -353,17 +353,14 @@ class NormalEquations:
             mean_square = np.maximum(self.squared[None] - explained, 0.0) / self.bins
         return x, mean_square
 
-    def children(
-        self, parent: Structure, count: int, excluded: Collection[Term] = ()
-    ) -> list[tuple[int, ...]]:
-        """The ``count`` best structures with one more term, at most one for each term.
+    def children(self, parent: Structure, excluded: Collection[Term] = ()) -> list[tuple[int, ...]]:
+        """Structures with one more term, the best first, at most one for each term.
 
         All are ranked with the effective samples of the best child's residual. The parent's would
         be too few, because an unexplained disturbance correlates all samples.
 
         Args:
             parent: the structure that gets one more term.
-            count: largest number of structures.
             excluded: terms that are not added.
         """
         candidate_sensitivities, floor = self.candidate_sensitivities, self.view.floor
@@ -415,7 +412,7 @@ class NormalEquations:
             gain = -0.5 * float(misfit[i] @ effective) - cost * candidate_sensitivities.free[i]
             if term not in best or gain > best[term][0]:
                 best[term] = gain, i
-        ranked = sorted(best.values(), key=lambda x: -x[0])[:count]
+        ranked = sorted(best.values(), key=lambda x: -x[0])
         return [(*parent.chosen, i) for _, i in ranked]
 
     def rank(self, parent: Structure, children: list[Structure]) -> list[Structure]:
@@ -456,6 +453,7 @@ class BeamSearch:
     cores: int = 1
     excluded: Collection[Term] = ()
     _seen: dict[frozenset[int], Structure] = field(default_factory=dict)
+    _children: dict[tuple[int, ...], list[tuple[int, ...]]] = field(default_factory=dict)
 
     def levels(self, equations: NormalEquations) -> list[list[Structure]]:
         """Structures with one, two, ... terms that explain a residual, the best of a size first."""
@@ -498,10 +496,10 @@ class BeamSearch:
         check_deadline()
         parents = [s for s in level if len(s.chosen) < self.most]
         equations.candidate_sensitivities.compute_products(i for s in parents for i in s.chosen)
-        children = Forks(self.cores).map(
-            partial(equations.children, count=count, excluded=self.excluded), parents
-        )
-        wanted = {frozenset(c): c for each in children for c in each}
+        unknown = [s for s in parents if s.chosen not in self._children]
+        grown = Forks(self.cores).map(partial(equations.children, excluded=self.excluded), unknown)
+        self._children |= zip([s.chosen for s in unknown], grown, strict=True)
+        wanted = {frozenset(c): c for s in parents for c in self._children[s.chosen][:count]}
         new = {key: chosen for key, chosen in wanted.items() if key not in self._seen}
         equations.candidate_sensitivities.compute_products(
             i for chosen in new.values() for i in chosen

@@ -105,6 +105,6 @@ def _best_wave(
         candidate_sensitivities = CandidateSensitivities(found)
         equations = NormalEquations(view, candidate_sensitivities)
         best = [
-            candidate_sensitivities.responses[i] for (i,) in equations.children(equations.base, 1)
+            candidate_sensitivities.responses[i] for (i,) in equations.children(equations.base)[:1]
         ]
     return best[0] if best else None

@@ -42,7 +42,7 @@ def refine_limits(
         return []
     equations = NormalEquations(view, candidate_sensitivities)
     starts: list[Hypothesis] = []
-    for chosen in equations.children(equations.base, len(candidate_sensitivities.responses)):
+    for chosen in equations.children(equations.base):
         response = candidate_sensitivities.responses[chosen[0]]
         if is_single_amplitude_limit(response) and far[max(response.term.joint, 0)]:
             ((term, start),) = equations.structure(chosen).starts.items()

@@ -220,9 +220,8 @@ def _exchanges(
         if removed:
             yield LinearizedFit(rest, equations.base.residual)
         if elastic:
-            for chosen in equations.children(
-                equations.base, 2 * settings.of_each_elastic, excluded=rigid
-            ):
+            ranked = equations.children(equations.base, excluded=rigid)
+            for chosen in ranked[: 2 * settings.of_each_elastic]:
                 structure = equations.structure(chosen)
                 yield LinearizedFit(rest.with_terms(structure.starts), structure.residual)
         most = min(len(removed) + 1, 2) if removed else settings.added
