@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.child_result import add_out, child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.release_folder import TWIN_HELP, twin_file
 from pytest_twin.commands.terminal import show, show_lines
@@ -26,13 +26,7 @@ JSON_NAME, PAGE_NAME = "budget.json", "budget.html"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("twin", metavar="TWIN", type=Path, help=TWIN_HELP)
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        required=True,
-        help=f"folder for {JSON_NAME} and {PAGE_NAME}",
-    )
+    add_out(parser, f"folder for {JSON_NAME} and {PAGE_NAME}")
     add_seconds(parser, 0.0, "the lines so far are written, and the others are unknown")
     model_files.add_arguments(parser)
 

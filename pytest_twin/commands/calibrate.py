@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.child_result import add_out, child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show_lines
 from pytest_twin.commands.time_limit import add_seconds
@@ -63,13 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="plan: what to estimate, from which observations",
     )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        required=True,
-        help=f"folder for {FILE_NAME} and, if it is accepted, {', '.join(EXPORTS)}",
-    )
+    add_out(parser, f"folder for {FILE_NAME} and, if it is accepted, {', '.join(EXPORTS)}")
     add_seconds(parser, SECONDS, "the best values so far are written and not accepted")
     model_files.add_arguments(parser)
 

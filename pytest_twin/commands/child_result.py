@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,11 @@ from pytest_twin.formats import results
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.interrupts import StopRequest
 from pytest_twin.realization.sandbox import Sandbox
+
+
+def add_out(parser: argparse.ArgumentParser, content: str) -> None:
+    """Add the required folder of the result; ``content`` is its help."""
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help=content)
 
 
 @contextmanager

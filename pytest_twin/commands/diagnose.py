@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import before, fleet, json_output, model_files, viewer_files
-from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.child_result import add_out, child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     add_recording_arguments,
@@ -67,12 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: those with the role held_out in their metadata, else whole recordings are "
         "split and the report lists them)",
     )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        required=True,
-        help=f"folder for {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
+    add_out(
+        parser,
+        f"folder for {DIAGNOSIS_FILE}, {REPORT_FILE} and {REALIZATION}/, the patched model; "
         "the files of an earlier diagnosis are replaced",
     )
     before.add_arguments(parser)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.child_result import add_out, child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.commands.time_limit import add_seconds
@@ -46,13 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="twin.yaml with a section excitation: that a qualified person has filled in; missing "
         "lines are printed",
     )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        required=True,
-        help=f"folder for {FILE_NAME}, {ABORT_NAME}, {PAGE_NAME} and trajectories/",
-    )
+    add_out(parser, f"folder for {FILE_NAME}, {ABORT_NAME}, {PAGE_NAME} and trajectories/")
     parser.add_argument(
         "--seed", metavar="N", type=_seed, default=1, help="seed of all random choices (default: 1)"
     )

@@ -11,7 +11,7 @@ from typing import Any
 from pytest_twin.asset.loss.matrix import Conversion, Matrix
 from pytest_twin.asset.loss.render import html
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.child_result import add_out, child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.errors import SpecError
@@ -38,12 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--to", metavar="TARGET", choices=TARGETS, required=True,
                         help=f"simulator: {', '.join(TARGETS)}")  # fmt: skip
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        required=True,
-        help=f"folder for the files of the simulator, {EXPORT_FILE} and {LOSS_FILE}, the loss "
+    add_out(
+        parser,
+        f"folder for the files of the simulator, {EXPORT_FILE} and {LOSS_FILE}, the loss "
         "matrix; the files of an earlier export are replaced",
     )
     parser.add_argument(

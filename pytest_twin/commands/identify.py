@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.child_result import add_out, child_result
 from pytest_twin.commands.numbers import number
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
@@ -55,12 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         held_out="recordings that test every stage and are not fitted (default: those with the "
         "role held_out in their metadata, else the last of every four)",
     )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        required=True,
-        help=f"folder for {FILE_NAME}, {PAGE_NAME} and realization/, the fitted model; an earlier "
+    add_out(
+        parser,
+        f"folder for {FILE_NAME}, {PAGE_NAME} and realization/, the fitted model; an earlier "
         "identification is replaced",
     )
     parser.add_argument(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_twin.commands import json_output, model_files
-from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.child_result import add_out, child_result
 from pytest_twin.commands.numbers import number
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
@@ -77,12 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="ranges for comparison: a ranges.json, a table NAME: [low, high], or events of Isaac "
         "Lab or mjlab as .yaml or .py, whose code is not run",
     )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        required=True,
-        help=f"folder for {JSON_NAME}, {PAGE_NAME}, a sampler and configurations of simulators",
+    add_out(
+        parser, f"folder for {JSON_NAME}, {PAGE_NAME}, a sampler and configurations of simulators"
     )
     add_seconds(parser, 0.0, "the ranges are written with the robots that were simulated")
     add_recording_arguments(parser)

@@ -11,6 +11,7 @@ from typing import Any
 
 from pytest_twin.asset import manifest, placement
 from pytest_twin.commands import json_output, model_files, xacro_files
+from pytest_twin.commands.child_result import add_out
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.terminal import show
 from pytest_twin.errors import PathError, SpecError
@@ -34,9 +35,7 @@ _PATCH = re.compile(r"[a-z-]+:.+")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("urdf", metavar="URDF", type=Path, help="URDF or xacro file of the robot")
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, required=True, help="folder of the converted asset"
-    )
+    add_out(parser, "folder of the converted asset")
     parser.add_argument(
         "--accept",
         metavar="PATCH",

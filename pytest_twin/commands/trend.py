@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_twin.commands import fleet, json_output, model_files
 from pytest_twin.commands.before import LEVEL, parse_level
-from pytest_twin.commands.child_result import child_result
+from pytest_twin.commands.child_result import add_out, child_result
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import (
     RECORDING_HELP,
@@ -47,10 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{RECORDING_HELP}, with measured effort and stamps since 1970, or date: in the "
         "metadata of the trial",
     )  # fmt: skip
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, required=True,
-        help=f"folder for {FILE_NAME} and {PAGE_NAME}",
-    )  # fmt: skip
+    add_out(parser, f"folder for {FILE_NAME} and {PAGE_NAME}")
     parser.add_argument(
         "--alarm-level", metavar="P", type=parse_level, default=LEVEL,
         help=f"probability of an alarm for a robot if nothing changed (default: {LEVEL:g})",
