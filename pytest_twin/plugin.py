@@ -47,7 +47,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """Find the twins before collection where an option needs one; else collection finds them."""
     config = session.config
     options = config.stash[_OPTIONS]
-    if options.needs_twin and not _is_worker(config):
+    if options.needs_twin and not hasattr(config, "workerinput"):
         if (problem := _refusal(config)) is not None:
             raise pytest.UsageError(problem)
         _discover(config)
@@ -167,7 +167,3 @@ def _discover(config: pytest.Config) -> None:
     include_above = config.stash[_OPTIONS].needs_twin
     for path in twin_files(arguments, config, include_above=include_above):
         _session(config).gate(path)
-
-
-def _is_worker(config: pytest.Config) -> bool:
-    return hasattr(config, "workerinput")

@@ -23,8 +23,6 @@ FILE_NAME = "manifest.json"
 SOURCE_FOLDER = "source"
 """Folder of the supplier's unchanged files, next to the manifest."""
 STATES = ("source", "normalized", "realization")
-MADE_BY = {"source": "intake", "normalized": "realize", "realization": "realize"}
-"""State -> the command of pytest-twin that writes it."""
 REPORTS = "reports"
 """Fact of a state: files that describe it, such as the change log; they carry no digest."""
 _WORDS = (b'"asset"', b'"states"', b'"source"', b'"digest"', b'"files"')

@@ -43,7 +43,6 @@ from pytest_twin.realization import urdf
 from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
 
-"""Version of the audit's JSON."""
 _MOST_PICTURES = 6
 """Largest number of poses that are drawn, the first ones."""
 

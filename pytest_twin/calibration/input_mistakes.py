@@ -100,11 +100,8 @@ def find_mistakes(fit: Fit, of_corners: FreeScale | None = None) -> tuple[InputM
 
 def lengths_in_mm(problem: CalibrationProblem) -> tuple[InputMistake, ...]:
     """Return the poses that are so far away that their positions must be in mm."""
-    return tuple(InputMistake(what, mend, *_unknown_errors()) for what, mend in _far_away(problem))
-
-
-def _unknown_errors() -> tuple[float, float]:
-    return float("nan"), float("nan")
+    unknown = float("nan")
+    return tuple(InputMistake(what, mend, unknown, unknown) for what, mend in _far_away(problem))
 
 
 def _is_far_better(one: InputMistake, now: tuple[float, float]) -> bool:

@@ -39,7 +39,6 @@ _UNDEFINED = {
     "restitution": "nothing came down on the pair",
     "slip": "the object is not held to the end",
 }
-_VECTOR: Mapping[str, Any] = array(number(), count=3)
 
 
 class Contact(Check):

@@ -79,7 +79,7 @@ class Scene:
         self.bodies = [scene.body_of(self.model, geoms) for geoms in self.geoms]
         self.object_body = None if free is None else scene.object_body(self.model)
         self.ramp = self.seconds("ramp", _RAMP)
-        self.press = self._newtons("press", stimulus.get("press", 0.0))
+        self.press = quantity(golden, "stimulus.press", stimulus.get("press", 0.0), "N")
         self.direction = np.zeros(3)
         self._place_object(golden)
 
@@ -92,9 +92,6 @@ class Scene:
         if given is None:
             raise spec_error(self.golden, where, "is missing", expected="a time such as '0.5 s'")
         return seconds(self.golden, where, given)
-
-    def _newtons(self, name: str, value: object) -> float:
-        return quantity(self.golden, f"stimulus.{name}", value, "N")
 
     def _check_names(self) -> None:
         target, structure = self.golden.target, self.realization.structure

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from pytest_twin.formats import atomic
 from pytest_twin.formats.digest import file_sha256
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.realization.sandbox import Sandbox
-from pytest_twin.release.released_files import copy_release, read_authentic_now
+from pytest_twin.release.released_files import copy_release
+from pytest_twin.release.restore import read_authentic
 from pytest_twin.twin import FILE_NAME, Twin, load_twin
 
 EXAMPLES = (
@@ -82,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             expected="residual: or update:; pytest --twin-release releases a changed model",
         )
     folder = release_folder(args.release)
-    release = read_authentic_now(folder)
+    release = read_authentic(folder, datetime.now(UTC))
     root = folder.absolute().parent.parent
     progress = Progress("simulating")
     with progress.stopping_early("the comparison so far is shown") as stop:

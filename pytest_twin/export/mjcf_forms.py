@@ -161,9 +161,8 @@ class MjcfExporter:
         for joint, bias in self.biases.items():
             self._shift_zero(joint, bias)
         for joint, amplitude, harmonic, phase in self.cogging:
-            self._add_cogging(
-                joint, amplitude, harmonic, phase - harmonic * self.biases.get(joint, 0.0)
-            )
+            shifted = phase - harmonic * self.biases.get(joint, 0.0)
+            self.passive(joint, "ripple", cogging=[amplitude, harmonic, shifted])
         for joint, reading in self.readings.items():
             self._write_reading(joint, reading)
         motors = {joint: self._write_gear(joint, parts) for joint, parts in self.gears.items()}
@@ -290,9 +289,6 @@ class MjcfExporter:
                     value + (bias if i == address else 0.0) for i, value in enumerate(key.qpos)
                 ]
         self.native.model = self.spec.compile()
-
-    def _add_cogging(self, joint: str, amplitude: float, harmonic: int, phase: float) -> None:
-        self.passive(joint, "ripple", cogging=[amplitude, harmonic, phase])
 
     def _write_reading(self, joint: str, reading: Reading) -> None:
         name = f"{joint}{READING}"

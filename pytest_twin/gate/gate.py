@@ -202,10 +202,6 @@ class Gate:
         """Add code and settings of a process that runs goldens."""
         self.process = self.process.merged_with(process)
 
-    def parts_after_the_run(self) -> dict[str, Part]:
-        """All parts of the plan, with those of the process that appeared during the run."""
-        return {**self.plan().parts, **self.process.parts}
-
     def _baseline(self) -> tuple[Release | None, Release | None, tuple[str, ...]]:
         """The last valid release, the last authentic release, and notes for the terminal."""
         if not (self.root / "releases").is_dir():

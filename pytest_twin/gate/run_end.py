@@ -184,7 +184,7 @@ def _sign(gate: Gate, facts: Facts, policy: Policy) -> tuple[Release, list[str]]
         twin=gate.twin.name,
         valid_days=gate.twin.release.valid_days,
         ids=gate.ids(),
-        parts=gate.parts_after_the_run(),
+        parts={**plan.parts, **gate.process.parts},
         proofs=proofs,
         environment=release.environment(),
         files={**plan.files, **gate.process.files},

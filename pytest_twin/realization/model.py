@@ -48,9 +48,9 @@ class Realization(NamedModel):
         spec = self.spec.copy()
         if controller is not None:
             actuators = _declared_table(twin, "controllers", controller)
-            patch.apply_controller(
-                spec, actuators, where=f"controllers.{controller}", refuse=twin.error
-            )
+            for name, change in actuators.items():
+                where = f"controllers.{controller}.{name}"
+                patch.patch_actuator(spec, name, change, where=where, refuse=twin.error)
         if payload is not None:
             bodies = _declared_table(twin, "payloads", payload)
             patch.apply_payload(spec, bodies, where=f"payloads.{payload}", refuse=twin.error)

@@ -114,14 +114,6 @@ def carries_joints(body: mujoco.MjsBody) -> bool:
     return False
 
 
-def apply_controller(
-    spec: mujoco.MjSpec, actuators: Mapping[str, Patch], *, where: str, refuse: Refuse
-) -> None:
-    """Set gains and ranges of a controller on the actuators of ``spec``."""
-    for name, patch in actuators.items():
-        patch_actuator(spec, name, patch, where=f"{where}.{name}", refuse=refuse)
-
-
 def apply_payload(
     spec: mujoco.MjSpec, bodies: Mapping[str, Payload], *, where: str, refuse: Refuse
 ) -> None:

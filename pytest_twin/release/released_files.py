@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from pytest_twin.errors import ReleaseError
 from pytest_twin.formats import atomic, yaml
 from pytest_twin.release.folder import RELEASES
-from pytest_twin.release.restore import copy_files, read_authentic
+from pytest_twin.release.restore import copy_files
 from pytest_twin.release.statement import Release
 from pytest_twin.twin import FILE_NAME
 
@@ -32,15 +31,6 @@ def release_folder(root: Path, number: int) -> Path:
             expected=f"the folder {folder.name} that the data set was stamped with",
         )
     return folder
-
-
-def read_authentic_now(folder: Path) -> Release:
-    """Read a release that is undamaged and signed by a trusted key; it may have expired.
-
-    Raises:
-        ReleaseError: it is damaged, or not signed by a trusted key.
-    """
-    return read_authentic(folder, datetime.now(UTC))
 
 
 def copy_release(release: Release, folder: Path, root: Path, into: Path) -> Path:

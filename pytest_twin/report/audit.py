@@ -210,7 +210,11 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
     ]
     return _PAGE.render(
         audit=audit,
-        layers=[(name, _TITLES.get(name) or _title(name)) for name in audit["layers"]],
+        # Layers of installed packages have no title of ours.
+        layers=[
+            (name, _TITLES.get(name) or name.replace("_", " ").capitalize())
+            for name in audit["layers"]
+        ],
         faults=[kind for kind in kinds if kind.severity in ("critical", "warning")],
         sources=sources,
         facts=[kind for kind in kinds if kind.severity == "info"],
@@ -220,11 +224,6 @@ def render(audit: Mapping[str, Any], renders: Sequence[Mapping[str, str]]) -> st
         summary=summary(audit),
         max_rows=MAX_ROWS,
     )
-
-
-def _title(layer: str) -> str:
-    """Return the heading of a layer from an installed package."""
-    return layer.replace("_", " ").capitalize()
 
 
 _PAGE = Page("audit.html.j2", "audit.css", number=number, place=place, value=value)

@@ -98,7 +98,7 @@ def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list
             "ok" if measure.passed else "FAIL",
             measure.name,
             measure.subject,
-            *([_when(measure)] if timed else []),
+            *([measure.when.removeprefix("at ")] if timed else []),
             quantity(measure.measured, measure.unit),
             f"{quantity(measure.golden, measure.unit)} ({measure.against})",
             number(measure.error),
@@ -118,10 +118,6 @@ def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list
         failed = sum(not measure.passed for measure in left_out)
         lines.append(f"  and {len(left_out)} more, {failed} of them failed")
     return lines
-
-
-def _when(measure: Measure) -> str:
-    return measure.when.removeprefix("at ")
 
 
 def _excess_sentence(worst: Measure) -> str:

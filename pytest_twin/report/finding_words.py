@@ -26,7 +26,8 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
         finding: of ``diagnosis.json``.
     """
     if "law" in finding:
-        return law_sentence(finding)
+        words = finding["law"]["words"]
+        return f"No known effect explains joint {finding['joint']}; a fitted law does: {words}."
     known = {p.reported_name: p for p in _parameters(finding["effect"])}
     values, forms = [], []
     for key, estimate in finding["parameters"].items():
@@ -43,12 +44,6 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
     listed = ", ".join(f"{meaning} {amount}" for meaning, amount in values)
     name = place(finding)
     return f"{capitalize_first(name)}{form}: {listed}."
-
-
-def law_sentence(finding: Mapping[str, Any]) -> str:
-    """Return a sentence on an unnamed law."""
-    words = finding["law"]["words"]
-    return f"No known effect explains joint {finding['joint']}; a fitted law does: {words}."
 
 
 def gain(finding: Mapping[str, Any], *, held_out: bool) -> str:

@@ -14,6 +14,7 @@ from pytest_twin.report.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 _WIDTH, _ROW = 7.4, 1.05
@@ -49,8 +50,7 @@ def joint_figure(document: Mapping[str, Any], joint: str) -> bytes:
                 date = _days(event["date"])
                 if dates[0] <= date <= dates[-1]:
                     axes.axvline(date, color=GOLDEN, linewidth=0.9, linestyle=(0, (4, 3)))
-        grid[-1].xaxis.set_major_locator(_date_locator())
-        grid[-1].xaxis.set_major_formatter(_date_formatter())
+        _set_dates(grid[-1].xaxis)
 
     return svg(draw, _WIDTH, height)
 
@@ -95,13 +95,8 @@ def _changes(axes: Axes, document: Mapping[str, Any], name: str) -> None:
             axes.axvspan(first, last, color=FAIL, alpha=0.18, linewidth=0)
 
 
-def _date_locator() -> Any:
-    from matplotlib.dates import AutoDateLocator
+def _set_dates(axis: Axis) -> None:
+    from matplotlib.dates import AutoDateLocator, DateFormatter
 
-    return AutoDateLocator(minticks=3, maxticks=8)  # type: ignore[no-untyped-call]
-
-
-def _date_formatter() -> Any:
-    from matplotlib.dates import DateFormatter
-
-    return DateFormatter("%Y-%m-%d")  # type: ignore[no-untyped-call]
+    axis.set_major_locator(AutoDateLocator(minticks=3, maxticks=8))  # type: ignore[no-untyped-call]
+    axis.set_major_formatter(DateFormatter("%Y-%m-%d"))  # type: ignore[no-untyped-call]

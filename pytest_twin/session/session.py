@@ -148,7 +148,7 @@ class TwinSession:
     ) -> Generator[None, None, None]:
         """Count the tests that other plugins deselect, then deselect the fresh goldens."""
         collected = list(items)
-        self.collected.update(_keys(items))
+        self.collected.update(item.key for item in items if isinstance(item, GoldenItem))
         self.test_modules.update(i.path for i in items if not isinstance(i, GoldenItem))
         yield
         self.deselected = len(collected) - len(items)
@@ -466,7 +466,3 @@ def _properties(outcome: Outcome) -> list[tuple[str, object]]:
     if outcome.reasons:
         properties.append(("stale_because", str(outcome.reasons[0])))
     return properties
-
-
-def _keys(items: list[pytest.Item]) -> set[str]:
-    return {item.key for item in items if isinstance(item, GoldenItem)}

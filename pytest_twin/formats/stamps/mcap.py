@@ -98,6 +98,7 @@ class McapStamp:
     def write(self, text: str) -> None:
         """Rewrite the file with the record, atomically."""
         from mcap.exceptions import EndOfFile
+        from mcap.records import Metadata
 
         with open_regular(self.path) as stream, open_replacement(self.path) as target:
             layout = self._layout(stream)
@@ -105,7 +106,7 @@ class McapStamp:
             for start, end in _kept_ranges(layout.stamps, layout.data_end):
                 crc = _copy(stream, target, start, end, crc)
             place = target.tell()
-            record = _metadata_record(text)
+            record = _bytes_of(Metadata(NAME, {_KEY: text}))
             target.write(record)
             crc = zlib.crc32(record, crc)
             target.write(_HEAD.pack(DATA_END, 4) + struct.pack("<I", crc if layout.data_crc else 0))
@@ -253,12 +254,6 @@ def _copy(stream: BinaryIO, target: BinaryIO, start: int, end: int, crc: int) ->
         target.write(block)
         crc = zlib.crc32(block, crc)
     return crc
-
-
-def _metadata_record(text: str) -> bytes:
-    from mcap.records import Metadata
-
-    return _bytes_of(Metadata(NAME, {_KEY: text}))
 
 
 def _bytes_of(record: Any) -> bytes:

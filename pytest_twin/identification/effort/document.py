@@ -13,7 +13,7 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.identification.document import nominal_document, parameter_entry, verdict_of
 from pytest_twin.identification.effort.encoders import SCALE, undetermined_entries
 from pytest_twin.identification.effort.estimate import SQUARES
-from pytest_twin.identification.effort.groups import is_of_drive, stage_of
+from pytest_twin.identification.effort.groups import stage_of
 from pytest_twin.identification.effort.identify_effort import EffortResult, mean_relative
 from pytest_twin.identification.effort.impossible_drives import impossible_drives
 from pytest_twin.identification.effort.stage_comparison import EffortError, parameter_name
@@ -55,7 +55,7 @@ def effort_document(
     for k, i in enumerate(kept):
         alone = np.count_nonzero(base.combination[i]) == 1
         column = base.columns[base.independent[i]]
-        drive = alone and is_of_drive(column)
+        drive = alone and stage_of(column, weighs=False) in ("friction", "drive")
         parameters[names[k]] = parameter_entry(
             values[k], half[k], base.units[i],
             prior=None if drive and not prior[i] else float(prior[i]),

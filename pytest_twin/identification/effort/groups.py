@@ -43,11 +43,6 @@ def stage_of(column: Column, weighs: bool) -> StageName:
     return "gravity" if weighs else "inertia"
 
 
-def is_of_drive(column: Column) -> bool:
-    """Whether a parameter is friction, or belongs to the drive or its reading."""
-    return stage_of(column, weighs=False) in ("friction", "drive")
-
-
 def stages_of(regressor: Regressor, base: BaseParameters) -> list[StageName]:
     """(b,) stage of each base parameter; those with an effort at rest belong to gravity."""
     count = len(regressor.joints)
