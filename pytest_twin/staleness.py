@@ -145,7 +145,7 @@ def dependency_map(
             model = models[name]
             ids = own | {f"{name}/other", _simulator_part(parts, name, twin, lookups)}
             declared = frozenset(kind.depends(golden, model.structure))
-            ids |= _expanded_ids(declared, parts, golden, twin, lookups)
+            ids |= _expanded_ids(declared, parts, golden, lookups)
             ids |= {
                 f"declared:{part.name}"
                 for part in twin.parts.values()
@@ -292,7 +292,6 @@ def _expanded_ids(
     declared: frozenset[str],
     parts: dict[str, Part],
     golden: Golden,
-    twin: Twin,
     lookups: Lookups,
 ) -> set[str]:
     """Ids with ``layer:*`` replaced by all parts of the layer; new parts are added to ``parts``."""

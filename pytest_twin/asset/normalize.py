@@ -306,7 +306,7 @@ class _Normalizer:
                     )
                 )
                 continue
-            self._repair(element, node, link, patch)
+            self._repair(node, link, patch)
 
     def _state_correction(self, element: Any, link: urdf.Link) -> None:
         """Apply the file's options for MuJoCo's compiler, for all simulators."""
@@ -358,7 +358,7 @@ class _Normalizer:
                 words = " ".join(lacking)
                 self._change(node, words, None, "0", "not stated and read as 0: stated explicitly")
 
-    def _repair(self, element: Any, node: Any, link: urdf.Link, patch: str) -> None:
+    def _repair(self, node: Any, link: urdf.Link, patch: str) -> None:
         repaired = inertia.nearest_consistent(link.inertia)
         # The moments refer to link axes; the inertial frame of the file may be rotated.
         _, axes = urdf.origin(link.inertial) if link.inertial else (None, np.eye(3))

@@ -80,7 +80,7 @@ def realize(
     if stage is not None and stage.stem not in (CHANGES, LOSS, Path(manifest.FILE_NAME).stem):
         simready.write(stage, path, located.roots)
     say(0.8)
-    forms.append(_pinocchio(made, robot, told, before))
+    forms.append(_pinocchio(made, robot, before))
     matrix = Matrix(
         told.node.attributes.get("name", path.stem), path.name, tuple(c for c, _ in forms)
     )
@@ -209,7 +209,7 @@ def _usd(made: Normalized, told: urdf.Robot, before: Description) -> _Form:
     return compare.compare(before, after, from_pinocchio.reference(told), "Pinocchio"), path
 
 
-def _pinocchio(made: Normalized, robot: urdf.Robot, told: urdf.Robot, before: Description) -> _Form:
+def _pinocchio(made: Normalized, robot: urdf.Robot, before: Description) -> _Form:
     try:
         after = from_pinocchio.describe(made.urdf, robot)
     except TwinError as error:

@@ -58,7 +58,7 @@ class Evidence:
     """All declared evidence; empty by default.
 
     Attributes:
-        mass: kg, tolerance in kg, place, source.
+        mass: kg, tolerance in kg, source.
         commands: joint or actuator -> quantity of its command, with unit and source.
         poses: name -> joint -> rad or m.
         simready: results of NVIDIA's validator.
@@ -68,7 +68,7 @@ class Evidence:
     frames: tuple[FrameEvidence, ...] = ()
     commands: Mapping[str, str] = field(default_factory=dict)
     poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    mass: tuple[float, float, Place, str] | None = None
+    mass: tuple[float, float, str] | None = None
     tcp: str | None = None
     simready: simready.SimReadyResults | None = None
     path: Path | None = None
@@ -151,7 +151,6 @@ def load(path: Path) -> Evidence:
         else (
             float(mass["value"]),
             float(mass.get("tolerance", 0.05 * mass["value"])),
-            at("mass"),
             mass.get("source", common),
         ),
         data.get("tcp"),
@@ -314,9 +313,7 @@ def _frame(asset: Asset, measured: FrameEvidence, evidence: Evidence) -> Iterato
         )
 
 
-def _mass(
-    asset: Asset, value: float, tolerance: float, place: Place, source: str
-) -> Iterator[Finding]:
+def _mass(asset: Asset, value: float, tolerance: float, source: str) -> Iterator[Finding]:
     total = sum(body.mass or 0.0 for body in asset.bodies)
     if abs(total - value) > tolerance:
         yield finding_of(

@@ -130,8 +130,7 @@ def find_changes_by_simulation(
             progress=lambda fraction: progress(0.4 * fraction),
         )  # fmt: skip
         patched = _patched(known, inherited)
-        laws, rows, comparison, words = _compare(realization, known, patched, before, new, level,
-                                                 notes)  # fmt: skip
+        laws, rows, comparison, words = _compare(realization, known, patched, new, level, notes)
         progress(0.5)
         found, repeated = None, repeated_motions(before.fit, new.fit)
         uncertain_before = frozenset[Term]()
@@ -188,7 +187,6 @@ def _compare(
     realization: Realization,
     known: ChosenModel,
     patched: PatchedModel,
-    before: TrialSet,
     new: TrialSet,
     level: float,
     notes: list[str],

@@ -18,7 +18,6 @@ import numpy as np
 from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.loaded_model import LoadedModel, load_model
 from pytest_twin.open_loop import Row, replay_rows, row_of
-from pytest_twin.realization import Realization
 from pytest_twin.recording_options import RecordingOptions
 from pytest_twin.trial import Trial
 
@@ -61,12 +60,12 @@ def model_changes(
     now, then = load_model(Path(today)), load_model(Path(released))
     trials = _trials(now, recordings, topics, RecordingOptions.from_json(options))
     pairs = [(row_of(now.realization, t), row_of(then.realization, t)) for t in trials]
-    errors = _error(now.realization, [new for new, _ in pairs])
-    before = _error(then.realization, [old for _, old in pairs])
+    errors = _error([new for new, _ in pairs])
+    before = _error([old for _, old in pairs])
     out = []
     for part, fields, at in _differences(*(row.model for row in pairs[0])):
         undone = [_undone(new, old, fields, at) for new, old in pairs]
-        out.append({"part": part, "share": _share(errors, before, _error(now.realization, undone))})
+        out.append({"part": part, "share": _share(errors, before, _error(undone))})
     if not _same_layout(*(row.model for row in pairs[0])):
         share = _share(errors, before, before)
         out.append({"part": "bodies, joints or actuators", "share": share})
@@ -129,7 +128,7 @@ def _undone(new: Row, old: Row, fields: Sequence[str], at: int) -> Row:
     return replace(new, model=model)
 
 
-def _error(realization: Realization, rows: Sequence[Row]) -> float:
+def _error(rows: Sequence[Row]) -> float:
     """Squared error of the predicted positions, each joint relative to its variance."""
     total = 0.0
     for replayed, row in zip(replay_rows(rows), rows, strict=True):

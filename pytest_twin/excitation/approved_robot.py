@@ -54,7 +54,7 @@ class ApprovedRobot:
         noise = noise_of(realization, approved)
         around = ClearanceChecker(realization, approved)
         regressor = Regressor(realization, approved.names)
-        _refuse_unsafe_start(realization, twin, approved, around, regressor)
+        _refuse_unsafe_start(twin, approved, around, regressor)
         return cls(realization, twin, approved, noise, around, regressor, seed)
 
     @classmethod
@@ -98,7 +98,6 @@ def load_twin_model(path: Path) -> tuple[Realization, Twin | None]:
 
 
 def _refuse_unsafe_start(
-    realization: Realization,
     twin: Twin,
     approved: ApprovedLimits,
     around: ClearanceChecker,

@@ -57,7 +57,7 @@ def document_of(found: Excitation, written: Mapping[str, Sequence[str]]) -> dict
         "noise": _noise(found),
         "predicted": [_parameter(one) for one in found.predicted],
         "covariance": _summary(found),
-        "unidentifiable": _unidentifiable(found, open_, without),
+        "unidentifiable": _unidentifiable(open_, without),
         "only_in_combination": [
             f"{expression}: {words}"
             for expression, words in zip(found.base.expressions, found.base.words, strict=True)
@@ -236,9 +236,7 @@ def _summary(found: Excitation) -> dict[str, Any]:
     return summary
 
 
-def _unidentifiable(
-    found: Excitation, open_: Sequence[PredictedAccuracy], without: Sequence[str]
-) -> list[str]:
+def _unidentifiable(open_: Sequence[PredictedAccuracy], without: Sequence[str]) -> list[str]:
     lines = [
         f"{one.mechanism}: {one.words} ({one.expression}): {_why(one)}"
         if one.expression != one.name

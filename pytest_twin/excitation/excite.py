@@ -182,7 +182,7 @@ def _predict_accuracies(
             found.append(prediction.delay(responses, at, approved, noise))
         for one in kinds["chirp"]:
             gains = robots[None].nominal.servo_derivatives(one.motion, at)
-            found += prediction.closed_loop(one.motion, one.response, gains, at, approved, noise)
+            found += prediction.closed_loop(one.response, gains, at, approved, noise)
         slow = [one.motion for one in kinds["reversals"]]
         if slow and "friction" in approved.mechanisms:
             found += prediction.friction(slow, at, regressor, approved, noise)

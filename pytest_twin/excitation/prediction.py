@@ -282,7 +282,6 @@ def delay(
 
 
 def closed_loop(
-    motion: Motion,
     response: Response,
     gains: Mapping[str, tuple[float, str, FloatArray]],
     joint: int,

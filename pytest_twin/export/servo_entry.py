@@ -53,7 +53,7 @@ def servo_entry(
         law=_LAW,
         conditions={"robot": source.path.name, **conditions},
         drive=_drive(rows[joint], findings),
-        evidence=_evidence(document, source),
+        evidence=_evidence(document),
         findings=[
             {key: f[key] for key in ("effect", "confidence", "parameters")} for f in findings
         ],
@@ -108,7 +108,7 @@ def _interval(name: str, value: float, findings: list[Mapping[str, Any]]) -> tup
     return max(low, 0.0), high
 
 
-def _evidence(document: Mapping[str, Any], source: ExportSource) -> dict[str, str]:
+def _evidence(document: Mapping[str, Any]) -> dict[str, str]:
     files = document.get("basis", {}).get("files", {})
     digests = sorted(str(item.get("digest")) for item in files.values())
     return {

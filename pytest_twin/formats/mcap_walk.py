@@ -154,7 +154,7 @@ class _Walker:
     def plain_records(self, start: int, length: int) -> Iterator[Region]:
         """Yield messages that are stored outside chunks, many at a time."""
         block = self.peek(max(_BLOCK_BYTES, min(9 + length, limits.MCAP.message_bytes + 64)))
-        region, used, problem = self.records_in(block, f"byte {start}", start, top=True)
+        region, used, problem = self.records_in(block, f"byte {start}", top=True)
         if used == 0:
             if problem is None:
                 raise LimitError(
@@ -209,7 +209,7 @@ class _Walker:
         if crc and zlib.crc32(data) != crc:
             self.notes.add(place, f"its CRC is wrong; {span}")
             return
-        region, used, problem = self.records_in(data, place, start, top=False)
+        region, used, problem = self.records_in(data, place, top=False)
         if problem is not None:
             self.notes.add(
                 f"{place}, byte {used} of its content",
@@ -264,7 +264,7 @@ class _Walker:
         return None
 
     def records_in(
-        self, data: bytes, place: str, base: int, *, top: bool
+        self, data: bytes, place: str, *, top: bool
     ) -> tuple[Region | None, int, str | None]:
         """Add schemas and channels to ``contents`` and collect messages in a region.
 

@@ -64,7 +64,7 @@ def collect_uncertain_parameters(
         )
     whole = _combine_records(parts)
     notes: list[str] = []
-    whole = spread_over_trials(whole, twin, realization, notes)
+    whole = spread_over_trials(whole, twin, notes)
     whole = with_tolerances(whole, twin, realization)
     distribution = distribution_of(whole.coordinates, whole.covariance, floor=_SMALLEST)
     if not len(distribution):

@@ -189,7 +189,7 @@ def _bodies_for(
     inertial = [at for at, one in enumerate(regressor.columns) if one.is_inertial]
     place = {(regressor.columns[at].joint, regressor.columns[at].kind): k
              for k, at in enumerate(inertial)}  # fmt: skip
-    efforts = _efforts(realization, regressor)[:, inertial]
+    efforts = _efforts(regressor)[:, inertial]
     change = np.zeros((len(inertial), COUNT * len(bodies)))
     for k, body in enumerate(bodies):
         rows = [place[body.joint, kind] for kind in INERTIAL]
@@ -204,7 +204,7 @@ def _bodies_for(
     return bodies, np.asarray(found)
 
 
-def _efforts(realization: Realization, regressor: Regressor) -> FloatArray:
+def _efforts(regressor: Regressor) -> FloatArray:
     """(rows, p) regressor at random joint states, which excite all combinations."""
     random = np.random.default_rng(_SEED)
     count = len(regressor.joints)

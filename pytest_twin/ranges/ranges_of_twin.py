@@ -259,7 +259,7 @@ def _document(
             for one in distribution.coordinates
         ],
         "correlation": distribution.correlation.tolist(),
-        "bodies": [_body(body, distribution, realization) for body in found.bodies],
+        "bodies": [_body(body, distribution) for body in found.bodies],
         "noise": [
             {"name": f"{joint}.position_noise", "joint": joint, "std": std,
              "unit": "m" if realization.structure.joint_type[joint] == "slide" else "rad",
@@ -288,7 +288,7 @@ def _only_in_sampler(distribution: Distribution) -> list[str]:
     ]
 
 
-def _body(body: Body, distribution: Distribution, realization: Realization) -> dict[str, Any]:
+def _body(body: Body, distribution: Distribution) -> dict[str, Any]:
     names = [one.name for one in distribution.coordinates if one.body == body.name]
     index = [one.index for one in distribution.coordinates if one.body == body.name]
     return {"name": body.name, "joint": body.joint, "root": body.root.tolist(),

@@ -12,16 +12,13 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.ranges.distribution import Coordinate, Source
 from pytest_twin.ranges.identified_coordinates import RecordCoordinates
 from pytest_twin.ranges_spec import TrialGroup
-from pytest_twin.realization import Realization
 from pytest_twin.twin import Twin
 
 _UNITS = {"temperature": "deg C", "load": "kg"}
 NAME = "ranges: trials: of twin.yaml"
 
 
-def spread_over_trials(
-    found: RecordCoordinates, twin: Twin, realization: Realization, notes: list[str]
-) -> RecordCoordinates:
+def spread_over_trials(found: RecordCoordinates, twin: Twin, notes: list[str]) -> RecordCoordinates:
     """Return the collected coordinates with the variance between groups of trials added.
 
     The covariance between groups is the covariance of their estimates minus the mean of their own

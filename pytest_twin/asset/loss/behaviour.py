@@ -51,7 +51,7 @@ def rows(
     what = f"{len(frames)} frames"
     yield _measured("forward kinematics, position", what, ran, _Difference(metres, "m"))
     yield _measured("forward kinematics, orientation", what, ran, _Difference(radians, "rad"))
-    yield _directions(source, target, reference, by)
+    yield _directions(target, reference, by)
     mass = reference.mass(), target.dynamics.mass()
     yield _measured(
         "mass",
@@ -129,7 +129,7 @@ def _measured(
     )
 
 
-def _directions(source: Description, target: Description, reference: Dynamics, by: str) -> Row:
+def _directions(target: Description, reference: Dynamics, by: str) -> Row:
     """Compare the screw axis of the motion when each joint moves alone from zero."""
     shared = [name for name in reference.joints if name in target.dynamics.joints]
     frames = [name for name in reference.frames if name in target.dynamics.frames]

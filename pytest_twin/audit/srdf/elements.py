@@ -39,7 +39,7 @@ def check(srdf: Srdf) -> Iterator[Finding]:
     """One finding for each element or attribute that SRDF does not define."""
     for node in srdf.root.children:
         if node.tag == _ROTORS:
-            yield _rotors(srdf, node)
+            yield _rotors(node)
             yield from (
                 f for joint in node.all("joint") for f in srdf.unknown(joint, "name", "joint")
             )
@@ -86,7 +86,7 @@ def _unknown(node: Node, label: str, known: Sequence[str] = ELEMENTS) -> Finding
     )
 
 
-def _rotors(srdf: Srdf, node: Node) -> Finding:
+def _rotors(node: Node) -> Finding:
     joints = node.all("joint")
     values = [
         f"{joint.attributes.get('name')}: mass={joint.attributes.get('mass')} "

@@ -61,10 +61,10 @@ def gather(plan: Plan, folder: Path) -> GatheredObservations:
             one = replace(one, images=images)
         parts.append(replace(one, notes=(*one.notes, *notes)))
         tables.append(table)
-    return GatheredObservations(concatenate(parts, tables), tuple(left_out), tuple(tables))
+    return GatheredObservations(concatenate(parts), tuple(left_out), tuple(tables))
 
 
-def concatenate(parts: Sequence[Observations], tables: Sequence[Path]) -> Observations:
+def concatenate(parts: Sequence[Observations]) -> Observations:
     """Concatenate the observations of several tables.
 
     Ids that occur in several tables get the table's number as prefix.
