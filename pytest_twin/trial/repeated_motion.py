@@ -118,13 +118,18 @@ def _share(trial: Measured, other: Measured) -> float:
     efforts = _efforts(trial, other, joints)
     starts = _windows(mine)
 
+    def is_distinct(start: int) -> bool:
+        return len(np.unique(mine[start : start + _WINDOW], axis=0)) >= _DISTINCT
+
     def contains(start: int) -> bool:
         rows = slice(start, start + _WINDOW)
         return _contains(theirs, efforts[1], mine[rows], efforts[0][rows])
 
-    if not any(map(contains, starts[:: max(1, len(starts) // _FIRST_WINDOWS)])):
+    first = starts[:: max(1, len(starts) // _FIRST_WINDOWS)]
+    if not any(is_distinct(start) and contains(start) for start in first):
         return 0.0
-    return sum(map(contains, starts)) / len(starts)
+    distinct = [start for start in starts if is_distinct(start)]
+    return sum(map(contains, distinct)) / len(distinct)
 
 
 def _efforts(
@@ -150,12 +155,7 @@ def _windows(positions: FloatArray) -> list[int]:
     starts = np.arange(0, len(positions) - _WINDOW + 1, _WINDOW)
     count = np.concatenate([[0], np.cumsum(moves)])
     starts = starts[count[starts + _WINDOW] - count[starts] >= _DISTINCT - 1]
-    chosen = starts[:: max(1, len(starts) // _MOST_WINDOWS)]
-    return [
-        start
-        for start in chosen.tolist()
-        if len(np.unique(positions[start : start + _WINDOW], axis=0)) >= _DISTINCT
-    ]
+    return list(starts[:: max(1, len(starts) // _MOST_WINDOWS)].tolist())
 
 
 def _contains(
