@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -16,10 +17,12 @@ from pytest_twin.formats.recording import TOPICS
 from pytest_twin.trial import recordings_at
 
 sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
-from two_pendulums import DECLARED, mjcf, record
+import touching_arm
+from two_pendulums import DECLARED, mjcf, record, write
 
 pytestmark = pytest.mark.usefixtures("commands_in_process")
 JOINTS = ("left",)
+TOUCHING = ("shoulder",)
 WRONG = {"viscous": 0.02, "dry": 0.03}
 """What the model lacks in all recordings."""
 MAGNET = {"magnet": 0.06}
@@ -183,6 +186,41 @@ def test_a_part_of_an_earlier_recording_saved_as_csv_is_refused(
     np.savetxt(copied, rows, fmt="%.6f", delimiter=",", header=head, comments="")
     assert compare(robot, tmp_path / "out", copied)[0] == 2
     assert "the same recording is given with --before, as old2.mcap" in capsys.readouterr().err
+
+
+def record_touch(path: Path, seed: int, offset: float = 0.0) -> Path:
+    """A recording of 1.4 s of an arm that hits a table, offset in m above the model's."""
+    text = touching_arm.mjcf(TOUCHING, step=touching_arm.FINE, offset=offset, damping=0.15)
+    arm = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(arm)
+    each = round(0.005 / touching_arm.FINE)
+    sent_at, seen_at = 0.01 * np.arange(140), 0.005 * np.arange(280)
+    sent = touching_arm.commands(seed, sent_at, 1)
+    moved = []
+    for command in sent.repeat(2, axis=0):
+        moved.append(data.qpos.copy())
+        data.ctrl[:] = command
+        mujoco.mj_step(arm, data, each)
+    seen = np.array(moved) + 1e-4 * np.random.default_rng([seed, 1]).standard_normal((280, 1))
+    write(path, TOUCHING, sent_at, sent, seen_at, seen, None, metadata=DECLARED)
+    return path
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.006])
+def test_a_surface_that_moved_is_found_with_its_offset(tmp_path: Path, offset: float) -> None:
+    (tmp_path / "model.xml").write_text(touching_arm.mjcf(TOUCHING))
+    for seed in range(4):
+        record_touch(tmp_path / f"old{seed}.mcap", seed)
+    new = record_touch(tmp_path / "new.mcap", 20, offset)
+    status, document = compare(tmp_path, tmp_path / "out", new)
+    names = [(finding["effect"], finding["joint"]) for finding in document["findings"]]
+    assert (status, names) == ((1, [("contact_offset", None)]) if offset else (0, []))
+    for finding in document["findings"]:
+        low, high = finding["change"]["offset"]["ci95"]
+        assert low < offset < high
+        # Against a table, a shifted encoder of the only joint looks alike.
+        others = {other["effect"] for other in finding["alternatives"]}
+        assert finding["confidence"] > 0.9 or "encoder_bias" in others
 
 
 def test_an_undeclared_payload_is_refused(
