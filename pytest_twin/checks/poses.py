@@ -92,7 +92,6 @@ def resolve_poses(
     realization: Realization,
     *,
     moved: frozenset[str] | None = None,
-    field: str = "stimulus.poses",
 ) -> list[Pose]:
     """Return all poses of a golden, in order.
 
@@ -102,7 +101,6 @@ def resolve_poses(
     Args:
         golden: golden whose stimulus has ``poses`` of the form ``POSES_SCHEMA``.
         moved: joints to draw, together with joints coupled to them; None for all.
-        field: dotted field of the list.
 
     Raises:
         SpecError: the model lacks a joint or keyframe, a value has a wrong unit, two poses have
@@ -112,7 +110,7 @@ def resolve_poses(
     solver = _Coupled(realization.model)
     poses: list[Pose] = []
     for number, entry in enumerate(golden.stimulus["poses"]):
-        place = f"{field}.{number}"
+        place = f"stimulus.poses.{number}"
         if isinstance(entry, Mapping) and "seed" in entry:
             seed = int(entry["seed"])
             for index in range(1, int(entry["count"]) + 1):
@@ -130,7 +128,7 @@ def resolve_poses(
         if pose.name in seen:
             raise spec_error(
                 golden,
-                field,
+                "stimulus.poses",
                 "two poses have the same name",
                 value=pose.name,
                 expected="a different name for each pose",

@@ -32,11 +32,11 @@ def static_base(regressor: Regressor, approved: ApprovedLimits) -> BaseParameter
     return base_of(static_matrix(regressor, poses), regressor.columns)
 
 
-def random_poses(regressor: Regressor, approved: ApprovedLimits, seed: int = 0) -> FloatArray:
+def random_poses(regressor: Regressor, approved: ApprovedLimits) -> FloatArray:
     """Return (n, joints) random poses in the approved range, enough to separate all columns."""
     lower, upper = approved.room
     count = max(40, 4 * len(regressor.columns) // len(approved.joints))
-    return np.random.default_rng(seed).uniform(lower, upper, (count, len(approved.joints)))
+    return np.random.default_rng(0).uniform(lower, upper, (count, len(approved.joints)))
 
 
 def static_matrix(regressor: Regressor, poses: FloatArray) -> FloatArray:

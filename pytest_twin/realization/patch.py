@@ -25,7 +25,6 @@ def apply_fit(
     option: Patch,
     *,
     refuse: Refuse,
-    where: str = "fit",
 ) -> None:
     """Set identified parameters in ``spec``.
 
@@ -34,7 +33,6 @@ def apply_fit(
         patches: ``joint``, ``actuator``, ``body``, ``geom`` or ``pair`` -> element -> attribute ->
             value.
         option: attribute of the simulation options -> value.
-        where: dotted field of the fit, for errors.
 
     Raises:
         TwinError: the error of ``refuse``, for an element or attribute that does not exist.
@@ -42,7 +40,7 @@ def apply_fit(
     body_inertia = _BodyInertia(spec)
     for family, elements in patches.items():
         for name, patch in elements.items():
-            here = f"{where}.{family}.{name}"
+            here = f"fit.{family}.{name}"
             if family == "body":
                 body = _find(spec.bodies, name, "body", here, refuse)
                 _patch_body(body, patch, body_inertia, here, refuse)
@@ -63,13 +61,13 @@ def apply_fit(
                     _set(pair, attribute, value, f"{here}.{attribute}", refuse)
             else:
                 raise refuse(
-                    where,
+                    "fit",
                     "unknown table",
                     value=family,
                     expected="body, joint, actuator, geom or pair",
                 )
     for attribute, value in option.items():
-        _set(spec.option, attribute, value, f"{where}.option.{attribute}", refuse)
+        _set(spec.option, attribute, value, f"fit.option.{attribute}", refuse)
 
 
 def keep_inertia(spec: mujoco.MjSpec, bodies: Iterable[mujoco.MjsBody]) -> None:

@@ -78,10 +78,10 @@ def failure_text(
     return "\n".join(lines)
 
 
-def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list[str]:
+def measure_table(measures: Sequence[Measure]) -> list[str]:
     """Return a table of measures, the worst first."""
     ordered = sorted(measures, key=tolerance_ratio, reverse=True)
-    timed = any(measure.time is not None for measure in ordered[:max_rows])
+    timed = any(measure.time is not None for measure in ordered[:MAX_ROWS])
     head = (
         "",
         "measure",
@@ -105,7 +105,7 @@ def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list
             number(measure.tolerance),
             number(measure.margin),
         )
-        for measure in ordered[:max_rows]
+        for measure in ordered[:MAX_ROWS]
     ]
     table = [head, *(tuple(printable(cell) for cell in row) for row in rows)]
     widths = [max(len(row[i]) for row in table) for i in range(len(head))]
@@ -113,7 +113,7 @@ def measure_table(measures: Sequence[Measure], max_rows: int = MAX_ROWS) -> list
         "  " + "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
         for row in table
     ]
-    left_out = ordered[max_rows:]
+    left_out = ordered[MAX_ROWS:]
     if left_out:
         failed = sum(not measure.passed for measure in left_out)
         lines.append(f"  and {len(left_out)} more, {failed} of them failed")

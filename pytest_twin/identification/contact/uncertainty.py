@@ -126,7 +126,6 @@ def bootstrap_minimum(
     found: Surface,
     free: Sequence[int],
     rivals: Sequence[Sequence[FloatArray]] = (),
-    seed: int = 3,
 ) -> BootstrapMinimum:
     """Compute minimum and covariance by a bootstrap over whole tosses.
 
@@ -139,7 +138,7 @@ def bootstrap_minimum(
     kept = np.array(free, dtype=int)
     part = Surface(found.centre[kept], _selected_coefficients(found, kept), found.reach)
     tosses = found.coefficients.shape[1]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(3)
     weights = rng.multinomial(tosses, np.full(tosses, 1.0 / tosses), size=DRAWS)
     steps = np.array([part.step(row.astype(float)) for row in weights])
     centre = np.clip(part.centre + part.step(np.ones(tosses)), 0.0, 1.0)

@@ -124,18 +124,15 @@ class BaseParameters:
         return found
 
 
-def structural_base(regressor: Regressor, seed: int = 0) -> BaseParameters:
+def structural_base(regressor: Regressor) -> BaseParameters:
     """Return the base parameters of a robot that some motion can determine.
 
     The regressor is evaluated at random positions, velocities and accelerations, so the rank
     depends on the robot only and not on a trajectory.
-
-    Args:
-        seed: seed of the random motion; the result does not depend on it.
     """
     count = len(regressor.joints)
     samples = _SAMPLES_PER_COLUMN * max(1, len(regressor.columns) // count)
-    return base_of(regressor.random_matrix(samples, seed), regressor.columns)
+    return base_of(regressor.random_matrix(samples, 0), regressor.columns)
 
 
 def base_of(matrix: FloatArray, columns: Sequence[Column]) -> BaseParameters:
