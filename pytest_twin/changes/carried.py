@@ -17,8 +17,8 @@ from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import finite_differences
 
-_RIDGE = 1e-9
-"""Share of the diagonal that is added to the normal matrix of the changes."""
+_RANK = 1e-6
+"""Share of the largest singular value of the changes' slopes below which one counts as zero."""
 
 
 def carried_half_widths(
@@ -63,9 +63,8 @@ def carried_half_widths(
     own_slopes, earlier_slopes = (
         np.array(each).reshape(-1, base.size) for each in (slopes[: len(rows)], slopes[len(rows) :])
     )
-    normal = own_slopes @ own_slopes.T
-    normal += _RIDGE * np.diag(np.maximum(np.diag(normal), 1e-300))
-    gain = np.linalg.solve(normal, own_slopes @ earlier_slopes.T)
+    # Zero for a parameter whose slope is rounding, such as the damping of a servo without it.
+    gain = np.linalg.lstsq(own_slopes.T, earlier_slopes.T, rcond=_RANK)[0]
     covariance = _within_bounds(
         uncertainty.covariance[np.ix_(columns, columns)],
         0.5 * np.diff(before.bounds, axis=0)[0][columns],
