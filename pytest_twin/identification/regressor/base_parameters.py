@@ -23,7 +23,7 @@ _RELEVANT_SHARE = 1e-3
 """Smallest coefficient, for columns of unit length, with which a motion regroups parameters."""
 _SAMPLES_PER_COLUMN = 4
 """Number of random samples for each column per joint: more equations than parameters."""
-_COEFFICIENT_TOLERANCE = 1e-5
+COEFFICIENT_TOLERANCE = 1e-5
 """Smallest coefficient of an expression, for columns of unit length. Smaller ones are rounding: a
 right angle of an exporter is off by up to 1e-5 rad. With them friction would have no name of its
 own."""
@@ -154,7 +154,7 @@ def base_of(matrix: FloatArray, columns: Sequence[Column]) -> BaseParameters:
     solved = np.linalg.lstsq(triangle[:, independent], triangle, rcond=None)[0]
     own = np.where(np.isfinite(scale), scale, 0.0)
     combination = solved * own / scale[independent][:, None]
-    combination[np.abs(solved) < _COEFFICIENT_TOLERANCE] = 0.0
+    combination[np.abs(solved) < COEFFICIENT_TOLERANCE] = 0.0
     combination[:, independent] = np.eye(len(independent))
     return BaseParameters(tuple(columns), independent, combination)
 
