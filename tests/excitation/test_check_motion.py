@@ -182,7 +182,7 @@ def test_the_command_says_what_the_check_can_and_cannot_tell(
     assert "compared motions shows or distinguishes by efforts" in said
     page = (out / "excitation.html").read_text()
     group = document["check"]["groups"][0]
-    assert f"= act alike along every motion: {' = '.join(group)}" in said
+    assert f"= act alike along every compared motion: {' = '.join(group)}" in said
     assert f"act alike: {', '.join(group)}" in page
     assert "too small to show" in said
     assert (out / "abort.json").is_file()
