@@ -99,7 +99,11 @@ def run_all(only: str | None) -> list[Entry]:
     wanted = [path for path in robots if only is None or only in str(path)]
     entries = []
     # The child imports this file, and nothing from below the working folder.
-    with contextlib.chdir(tempfile.gettempdir()), Sandbox(seconds=SECONDS) as child:
+    with (
+        tempfile.TemporaryDirectory() as empty,
+        contextlib.chdir(empty),
+        Sandbox(seconds=SECONDS) as child,
+    ):
         child.call("assets:warm")
         for count, path in enumerate(wanted):
             entry = _run(child, path, path.relative_to(packages / "example-robot-data/robots"))

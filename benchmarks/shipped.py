@@ -142,7 +142,11 @@ def run(folder: Path, state: Path, full: int, seconds: float) -> None:
         packages.setdefault(path.relative_to(folder).parts[0], []).append(path)
     for package, paths in packages.items():
         # The child imports this file, and nothing from below the working folder.
-        with contextlib.chdir(tempfile.gettempdir()), Sandbox(seconds=seconds) as child:
+        with (
+            tempfile.TemporaryDirectory() as empty,
+            contextlib.chdir(empty),
+            Sandbox(seconds=seconds) as child,
+        ):
             for path in paths:
                 name = path.relative_to(folder).as_posix()
                 if name in known:

@@ -190,7 +190,7 @@ def _check(document: dict[str, Any], out: Path) -> list[str]:
     for words, mark, names in (
         ("not distinguished; a motion of its own does: pytest-twin excite --separate", "!", missed),
         ("shown only by another motion:", "!", check["not_shown"]),
-        ("act alike along every compared motion:", "=", [" = ".join(one) for one in check["groups"]]),
+        ("act alike along every compared motion:", "=", [" = ".join(g) for g in check["groups"]]),
     ):
         lines += [f"{mark} {words} {name}" for name in names[:_MOST_LINES]]
         if len(names) > _MOST_LINES:
@@ -198,7 +198,8 @@ def _check(document: dict[str, Any], out: Path) -> list[str]:
     hidden = check["never_shown"]
     if hidden:
         lines.append(
-            f"too small to show along any compared motion, at their typical size: {list_names(hidden, 6)}"
+            "too small to show along any compared motion, at their typical size: "
+            + list_names(hidden, 6)
         )
     return [*lines, *_refusals(document), *_notes(document, out)]
 

@@ -130,7 +130,7 @@ TABLE: list[tuple[str, Callable[[Path], object], str]] = [
         "ARM/twin.yaml:2: tpc: is not a known field (expected one of schema, name, model, "
         "realizations, source, edited, roots, topics, joints, command_mode, columns, units, "
         "time_unit, clock, base, command_between, controller_period, signals, controllers, "
-        "payloads, motors, calibration, calibrations, fit, excitation, events, parts, tcp, "
+        "payloads, motors, servos, calibration, calibrations, fit, excitation, events, parts, tcp, "
         "accepted_findings, retired, release, authority, fresh, residual, update, shadow, budget, "
         "ranges; did you mean 'topics'?)",
     ),
