@@ -176,7 +176,7 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
     is_first = start is first and run.first_values is None
     starts, tentative = ([], [first]) if is_first else ([first, start, both], [])
     if run.first_values is None:
-        starts = [*starts, distant_gains(problem)]
+        tentative = [*tentative, distant_gains(problem)]
     found = _search(whole, run, "whole recordings", starts, tentative=tentative)
     found = _with_last_effects(found, run)
     for _ in range(_LOWER_FLOORS):

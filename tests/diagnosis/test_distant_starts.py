@@ -101,3 +101,12 @@ def test_servo_stiffness_of_two_percent_of_the_models_value_is_found(tmp_path: P
         assert 1.0 + stiffness.value == pytest.approx(1.0 / STIFFER, rel=5e-3)
         assert 1.0 + damping.value == pytest.approx(1.0 / MORE_DAMPED, rel=0.05)
         assert stiffness.high - stiffness.low < 0.1 / STIFFER
+
+
+def test_a_delay_that_looks_like_a_soft_servo_is_named(tmp_path: Path) -> None:
+    """Along the motion of 1.2 s, a delay of 0.1 s takes up most of the command's error."""
+    folder = case_with_wrong_gains(tmp_path, 1.0, 1.0, delay=0.1)
+    assert {t.effect for t in distant_gains(problem_of(folder)).terms} == {"controller_gain"}
+    found = diagnose(*read(folder), threads=1)
+    assert [f.effect for f in found.explanation.findings] == ["command_delay"]
+    assert found.explanation.findings[0].parameters["delay"].value == pytest.approx(0.1, rel=0.01)
