@@ -83,6 +83,7 @@ def test_a_robot_without_collision_shapes_leaves_distances_unknown(tmp_path: Pat
     assert [(f.code, f.severity) for f in findings] == [("meshes.distances_unknown", "unknown")]
 
 
+@pytest.mark.usefixtures("rendered_figures")
 def test_a_picture_shows_overlapping_links_in_red(tmp_path: Path) -> None:
     import matplotlib.image
 

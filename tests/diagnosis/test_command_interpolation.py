@@ -44,7 +44,9 @@ def detected(
     [
         Reality(between="interpolated"),
         Reality(between="interpolated", lag=0.012),
-        Reality(between="interpolated", stiffness=0.6, damping=0.8),
+        pytest.param(
+            Reality(between="interpolated", stiffness=0.6, damping=0.8), marks=pytest.mark.nightly
+        ),
         Reality(between="interpolated", command_period=0.02),
     ],
     ids=["exact model", "with a lag", "with other gains", "at 50 Hz"],
@@ -61,9 +63,9 @@ def test_interpolated_commands_are_detected_despite_other_model_errors(
 @pytest.mark.parametrize(
     "reality",
     [
-        Reality(lag=0.012),
-        Reality(stiffness=0.6, damping=0.8),
-        Reality(play=0.01),
+        pytest.param(Reality(lag=0.012), marks=pytest.mark.nightly),
+        pytest.param(Reality(stiffness=0.6, damping=0.8), marks=pytest.mark.nightly),
+        pytest.param(Reality(play=0.01), marks=pytest.mark.nightly),
         Reality(delay=0.008),
         Reality(dry=3.0, viscous=0.4),
         Reality(command_period=0.001, state_period=0.004),

@@ -36,8 +36,10 @@ CONTACT = {"contact_offset", "contact_stiffness", "contact_damping", "contact_fr
     ("effect", "parameter", "value", "unit", "joints", "hidden"),
     [
         ("contact_offset", "offset", 0.006, "m", ONE, {"offset": 0.006}),
-        ("contact_stiffness", "relative_error", 0.6, "1", ONE,
-         {"solref": (SOLREF[0], SOLREF[1] * 1.6**-0.5)}),
+        pytest.param(
+            "contact_stiffness", "relative_error", 0.6, "1", ONE,
+            {"solref": (SOLREF[0], SOLREF[1] * 1.6**-0.5)}, marks=pytest.mark.nightly,
+        ),
         ("contact_damping", "relative_error", 0.6, "1", ONE,
          {"solref": (SOLREF[0] / 1.6, SOLREF[1] * 1.6)}),
         ("contact_friction", "coefficient", -0.2, "1", TWO, {"friction": FRICTION - 0.2}),

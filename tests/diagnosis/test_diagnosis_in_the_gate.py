@@ -100,11 +100,8 @@ def test_friction_is_named_for_the_failed_golden_only(tmp_path: Path) -> None:
     assert line.startswith("probably viscous friction at joint elbow: viscous friction about 0.05 ")
 
 
-def test_a_quick_diagnosis_that_raises_an_error_prints_one_line(
-    delayed: Path, tmp_path: Path
-) -> None:
-    root = tmp_path / "arm"
-    shutil.copytree(delayed, root)
+def run_without_quick_diagnosis(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run pytest where a quick diagnosis fails at once, which saves a second for each golden."""
     (root / "broken_diagnosis.py").write_text(
         "from pytest_twin.realization.sandbox import Sandbox\n"
         "call = Sandbox.call\n"
@@ -112,7 +109,15 @@ def test_a_quick_diagnosis_that_raises_an_error_prints_one_line(
         "    return call(self, function.replace('quick_diagnosis', 'no_such'), *rest, **more)\n"
         "Sandbox.call = other\n"
     )
-    result = run(root, "-p", "broken_diagnosis")
+    return run(root, "-p", "broken_diagnosis", *arguments)
+
+
+def test_a_quick_diagnosis_that_raises_an_error_prints_one_line(
+    delayed: Path, tmp_path: Path
+) -> None:
+    root = tmp_path / "arm"
+    shutil.copytree(delayed, root)
+    result = run_without_quick_diagnosis(root)
     assert "2 failed" in result.stdout
     for line in quick_diagnoses(result.stdout):
         assert line.startswith("could not be made: ")
@@ -198,7 +203,7 @@ def test_the_patched_model_passes_where_the_nominal_model_failed(
     for spec in (root / "golden" / "replay").glob("*.yaml"):
         both = "realizations: [mujoco, patched]\ntitle:"
         spec.write_text(spec.read_text().replace("title:", both))
-    text = run(root).stdout
+    text = run_without_quick_diagnosis(root).stdout
     assert "2 failed, 2 passed" in text, text
     for line in text.splitlines():
         assert not (line.startswith("FAILED") and "patched" in line)
@@ -211,19 +216,19 @@ def test_goldens_of_a_patched_model_are_stale_when_its_effects_change(
     shutil.copytree(diagnosed[0], root)
     shutil.copytree(root / ".twin" / "diagnosis" / "mujoco", root / "why")
     (root / "twin.yaml").write_text("name: arm\nmodel: why\n")
-    result = run(root, "--twin-release")
+    result = run_without_quick_diagnosis(root, "--twin-release")
     assert result.returncode == 0, result.stdout[-1500:]
     assert "2 passed" in result.stdout, result.stdout
     effects = root / "why" / "realization" / "effects.json"
     effects.write_text(effects.read_text().replace('"delay": 0.0', '"delay": 0.01'))
-    text = run(root).stdout
+    text = run_without_quick_diagnosis(root).stdout
     assert "2 stale" in text, text
     assert "2 passed" in text, "the MJCF contains the delay, and effects.json only documents it"
     model = root / "why" / "realization" / "model.xml"
     delayed, count = re.subn(r' delay="0\.0[^"]*"', ' delay="0.01"', model.read_text())
     assert count == 1
     model.write_text(delayed)
-    text = run(root).stdout
+    text = run_without_quick_diagnosis(root).stdout
     assert "2 failed" in text, text
     reasons = text[text.index("ran because") :]
     assert " mujoco/effects: sha256" in reasons, text

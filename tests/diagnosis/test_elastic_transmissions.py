@@ -28,6 +28,7 @@ def problem() -> Problem:
     return problem_of("position", {BACKLASH: GAP, FRICTION: DRY})
 
 
+@pytest.mark.nightly
 def test_friction_at_a_joint_with_backlash_is_found(problem: Problem) -> None:
     start = single_effect(problem, BACKLASH, GAP)
     found = searched(problem, start).incumbent.hypothesis

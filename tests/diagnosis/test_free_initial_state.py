@@ -95,7 +95,7 @@ def residual_in_floors(
 @pytest.mark.parametrize(
     "hypothesis", [ELASTICITY, BACKLASH], ids=["elastic transmission", "backlash"]
 )
-@pytest.mark.parametrize("share", [-0.8, 0.3, 0.8])
+@pytest.mark.parametrize("share", [-0.8, pytest.param(0.3, marks=pytest.mark.nightly), 0.8])
 def test_the_initial_position_of_a_motor_is_estimated(hypothesis: Hypothesis, share: float) -> None:
     segment = segment_from_rest()
     shift = share * (EFFORT / STIFFNESS if hypothesis is ELASTICITY else 0.5 * GAP)

@@ -72,28 +72,13 @@ def assert_same_findings(a: Diagnosis, b: Diagnosis, tolerance: float) -> None:
             ), name
 
 
-@pytest.fixture(scope="module")
-def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Diagnosis]:
-    paths = recorded(tmp_path_factory.mktemp("usual") / "case", ("left",))
-    found = diagnosed(paths)
-    assert [(f.effect, f.joint) for f in found.explanation.findings] == [
+def test_order_and_start_time_of_recordings_and_sign_of_joint_axes_do_not_change_the_findings(
+    tmp_path: Path,
+) -> None:
+    usual = diagnosed(recorded(tmp_path / "usual", ("left",)))
+    assert [(f.effect, f.joint) for f in usual.explanation.findings] == [
         ("coulomb_friction", "left")
     ]
-    return paths, found
-
-
-def test_order_and_start_time_of_the_recordings_do_not_change_the_findings(
-    usual: tuple[list[Path], Diagnosis], tmp_path: Path
-) -> None:
-    paths = recorded(tmp_path / "case", ("left",), later=86_400.0)
-    first, second, held_out = paths
-    assert_same_findings(usual[1], diagnosed([second, first, held_out]), 0.1)
-
-
-def test_the_sign_of_the_joint_axes_does_not_change_the_findings(
-    usual: tuple[list[Path], Diagnosis], tmp_path: Path
-) -> None:
     # Gravity and motion are mirrored with the axis, so only signs change.
-    assert_same_findings(
-        usual[1], diagnosed(recorded(tmp_path / "case", ("left",), sign=-1.0)), 0.1
-    )
+    first, second, held_out = recorded(tmp_path / "other", ("left",), sign=-1.0, later=86_400.0)
+    assert_same_findings(usual, diagnosed([second, first, held_out]), 0.1)

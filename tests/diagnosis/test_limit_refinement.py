@@ -108,6 +108,7 @@ def test_rounding_errors_do_not_change_a_categorical_parameter() -> None:
     assert not moved.theta[2:5].any()
 
 
+@pytest.mark.nightly
 def test_a_narrow_minimum_outside_the_starting_grid_is_found() -> None:
     """The limit is twice the largest starting size, and its minimum a few per cent wide."""
     term = Term("rate_limit", ELBOW)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from recorded_pendulum import Reality, cell
 from two_pendulums import mjcf, record
 
@@ -33,6 +34,7 @@ def test_dry_friction_is_found_in_stick_slip_motion(tmp_path: Path) -> None:
     assert found.verdict == "explained"
 
 
+@pytest.mark.nightly
 def test_a_lag_is_found_where_setpoints_move_between_commands(tmp_path: Path) -> None:
     """Held setpoints with half a period less delay would explain nearly as much."""
     found = diagnosed(*cell(tmp_path, Reality(between="interpolated", lag=0.012), seeds=(1, 2, 3)))

@@ -192,6 +192,7 @@ def test_a_prior_enters_the_score_up_to_its_limit(soft: Problem) -> None:
     assert with_prior == plain + surprise(known, near)
 
 
+@pytest.mark.nightly
 def test_a_wrong_prior_hides_no_effect_from_the_search(soft: Problem) -> None:
     """A stiffness that is 20 % off is named, although the prior excludes it."""
     known = replace(soft, priors=(prior("stiffness", KP, 0.1), prior("friction", FRICTION, 0.01)))

@@ -81,6 +81,7 @@ def test_backlash_and_elasticity_can_be_merged_into_backlash_with_compliant_teet
     assert limited.theta[1] == BACKLASH.parameters[1].upper
 
 
+@pytest.mark.nightly
 def test_a_smaller_torque_constant_and_less_friction_can_be_merged_into_servo_gains() -> None:
     """The fit changes the gains far from their starting values."""
     gain = Term("controller_gain", ELBOW)

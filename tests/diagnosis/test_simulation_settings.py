@@ -85,7 +85,9 @@ def is_detected(found: Diagnosis) -> bool:
     return any("the recordings come from a simulation" in note for note in found.notes)
 
 
-@pytest.mark.parametrize("substeps", [1, 2, 4, 5, 40])
+@pytest.mark.parametrize(
+    "substeps", [1, *(pytest.param(n, marks=pytest.mark.nightly) for n in (2, 4)), 5, 40]
+)
 def test_the_exact_model_has_no_mismatch_for_any_time_step_of_the_recorded_simulation(
     tmp_path: Path, substeps: int
 ) -> None:

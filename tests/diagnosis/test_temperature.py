@@ -70,6 +70,7 @@ def test_dry_friction_in_cold_trials_only_is_found_as_temperature_dependent_fric
     assert all("cold" in name for name in finding["where"]["windows"])
 
 
+@pytest.mark.nightly
 def test_viscous_friction_in_cold_trials_only_is_found_as_temperature_dependent_friction(
     tmp_path: Path,
 ) -> None:

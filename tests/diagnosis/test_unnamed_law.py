@@ -124,7 +124,7 @@ def removed(folder: Path, hidden: Hidden, laws: FreeLaws) -> float:
         (magnet, {("position", False)}),
         (sticky, {("position", True)}),
         # Friction as a function of speed is an odd force as a function of velocity.
-        (notch, {("speed", True), ("velocity", False)}),
+        pytest.param(notch, {("speed", True), ("velocity", False)}, marks=pytest.mark.nightly),
     ],
     ids=["magnet", "friction at a position", "resistance at a speed"],
 )

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_further_effects import Drive, by_the_drive_stage
-from test_identify_simulation import NOMINAL
+from test_further_effects import Drive, by_the_drive_stage, write_trial
+from test_identify_simulation import MODEL, NOMINAL
 
 from pytest_twin.diagnosis.passive_joints import impossible, with_largest_back_emf
+from pytest_twin.diagnosis.prepare import prepare
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.diagnosis.trials import read_trials
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
+from pytest_twin.realization import load
+from pytest_twin.recording_options import RecordingOptions
+from pytest_twin.twin import DEFAULT_TOPICS
 
 DAMPING = NOMINAL["damping"]
 ROLLOFF, DRAG = Term("torque_rolloff", 0), Term("viscous_friction", 0)
@@ -49,11 +54,26 @@ def cost(problem: Problem, hypothesis: Hypothesis) -> float:
 
 
 @pytest.fixture(scope="module")
+def problem(tmp_path_factory: pytest.TempPathFactory) -> Problem:
+    """One recording of the drive."""
+    folder = tmp_path_factory.mktemp("drive")
+    (folder / "model.xml").write_text(MODEL.format(**NOMINAL))
+    model = load(folder / "model.xml")
+    path = write_trial(folder / "a.csv", 1, with_rolloff())
+    trials = read_trials(
+        [path], [], DEFAULT_TOPICS, model.structure,
+        RecordingOptions.from_json({"command_between": "held"}),
+    )  # fmt: skip
+    return prepare(model, trials.fit, trials.held_out, threads=1).problem
+
+
+@pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Hypothesis]:
     result = by_the_drive_stage(tmp_path_factory.mktemp("cell"), with_rolloff)
     return result.prepared.problem, result.hypothesis
 
 
+@pytest.mark.nightly
 def test_the_drive_stage_bounds_the_back_emf_by_the_damping(
     found: tuple[Problem, Hypothesis],
 ) -> None:
@@ -66,6 +86,7 @@ def test_the_drive_stage_bounds_the_back_emf_by_the_damping(
     assert not impossible(problem, drive)
 
 
+@pytest.mark.nightly
 def test_the_other_parameters_are_fitted_with_the_back_emf_at_its_bound(
     found: tuple[Problem, Hypothesis],
 ) -> None:
@@ -78,9 +99,9 @@ def test_the_other_parameters_are_fitted_with_the_back_emf_at_its_bound(
 
 @pytest.mark.parametrize("added", [0.0, 0.1, -0.02])
 def test_a_back_emf_above_model_and_correction_is_impossible(
-    found: tuple[Problem, Hypothesis], added: float
+    problem: Problem, added: float
 ) -> None:
-    problem, whole = found[0], DAMPING + added
+    whole = DAMPING + added
     possible = rolloff(problem, whole).with_term(DRAG, drag(problem, added))
     assert not impossible(problem, possible)
     beyond = rolloff(problem, 1.2 * whole).with_term(DRAG, drag(problem, added))
@@ -94,10 +115,7 @@ def test_a_back_emf_above_model_and_correction_is_impossible(
     assert back_emf_of(problem, bounded) == pytest.approx(whole)
 
 
-def test_friction_that_an_earlier_stage_added_is_part_of_the_damping(
-    found: tuple[Problem, Hypothesis],
-) -> None:
-    problem = found[0]
+def test_friction_that_an_earlier_stage_added_is_part_of_the_damping(problem: Problem) -> None:
     simulator = problem.simulator
     frozen = {**simulator.fixed, "viscous_friction": {"coefficient": np.array([[0.1]])}}
     other = type(simulator)(simulator.segments, simulator.joints, threads=1, fixed=frozen)

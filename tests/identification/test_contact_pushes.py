@@ -125,6 +125,7 @@ def test_contact_damping_is_reported_as_unobservable_from_pushes(pushed: Any) ->
     assert any("contact_damping" in one["expression"] for one in document["unobservable"])
 
 
+@pytest.mark.nightly
 def test_presses_identify_stiffness_and_contact_offset_but_not_friction(tmp_path: Path) -> None:
     stiffness = 150.0
     (tmp_path / "box.xml").write_text(box(0.8, HALF))

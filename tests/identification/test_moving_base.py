@@ -41,6 +41,7 @@ def test_efforts_on_a_moving_base_are_those_of_mujoco(tmp_path: Path) -> None:
         assert effort == pytest.approx(data.qfrc_inverse[-2:], abs=1e-9)
 
 
+@pytest.mark.nightly
 def test_friction_on_a_moving_base_is_identified_from_efforts(tmp_path: Path) -> None:
     (tmp_path / "free.xml").write_text(FREE)
     motion = Motion(seconds=5.0, added_damping=0.15, noise=5e-5)

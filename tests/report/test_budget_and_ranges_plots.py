@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 from pytest_twin.report import budget_plots, ranges_plots
 
+pytestmark = pytest.mark.usefixtures("rendered_figures")
+
 SVG = "{http://www.w3.org/2000/svg}"
 Drawn = Callable[..., Figure]
 

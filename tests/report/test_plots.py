@@ -19,6 +19,8 @@ from pytest_twin.outcome import Measure
 from pytest_twin.report.panels import Line, frequency_panels, thin, time_panels
 from pytest_twin.report.plots import plot
 
+pytestmark = pytest.mark.usefixtures("rendered_figures")
+
 SVG = "{http://www.w3.org/2000/svg}"
 TIME = np.linspace(0.0, 2.0, 401)
 

@@ -177,7 +177,7 @@ def test_time_offset_and_hand_eye_pose_are_estimated_with_valid_intervals(tmp_pa
     assert np.linalg.eigvalsh(together).min() > 0.0
 
 
-@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("inverted", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_errors_with_a_fixed_camera_are_computed_at_the_target(tmp_path, inverted):
     # At the camera, 0.6 m away, angular errors would increase the 2 mm by a tenth.
     write_streams(tmp_path, mount="world", noise=2e-3, inverted=inverted)
@@ -268,7 +268,7 @@ def scale_camera(folder: Path, factor: float) -> None:
     write_stream(folder / "camera.csv.gz", found.time, poses)
 
 
-@pytest.mark.parametrize("mount", ["hand", "world"])
+@pytest.mark.parametrize("mount", ["hand", pytest.param("world", marks=pytest.mark.nightly)])
 def test_intervals_contain_the_tolerance_of_the_targets_size(tmp_path, mount):
     inside = []
     for seed, scale in enumerate((0.997, 1.0035)):
@@ -330,7 +330,7 @@ def test_a_drift_of_the_clocks_is_estimated_and_noted(tmp_path):
     assert any("the clocks drift apart" in note for note in found["notes"])
 
 
-@pytest.mark.parametrize("step", [0.015, 0.05, -0.02])
+@pytest.mark.parametrize("step", [0.015, pytest.param(0.05, marks=pytest.mark.nightly), -0.02])
 def test_a_step_of_a_clock_is_rejected_with_its_time(tmp_path, step):
     write_streams(tmp_path, step=step)
     status, found = calibrated(tmp_path)
@@ -424,7 +424,7 @@ def test_an_invalid_line_of_a_stream_is_refused_with_its_number(tmp_path, line, 
 @pytest.mark.parametrize(
     ("stream", "factor", "words"),
     [
-        ("camera", 1000.0, "the camera's stream is "),
+        pytest.param("camera", 1000.0, "the camera's stream is ", marks=pytest.mark.nightly),
         ("hand", 1000.0, "the hand's stream is "),
         ("camera", 1.2, "positions of the camera's stream are too large or too small by a factor"),
     ],
