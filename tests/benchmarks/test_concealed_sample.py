@@ -22,7 +22,11 @@ import run
     ("seed", "hidden", "seconds"),
     # An effect is found in recordings of half the benchmark's length. Without one the full length
     # is quicker: it leaves no doubt, and nothing is searched.
-    [(5015, "command_delay", 6.0), (5023, "joint_spring", 6.0), (5026, None, 12.0)],
+    [
+        pytest.param(5015, "command_delay", 6.0, marks=pytest.mark.nightly),
+        (5023, "joint_spring", 6.0),
+        (5026, None, 12.0),
+    ],
 )
 def test_the_diagnosis_finds_exactly_the_hidden_effect(
     seed: int, hidden: str | None, seconds: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

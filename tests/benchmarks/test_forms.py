@@ -23,7 +23,14 @@ def short_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(forms, "SECONDS", 1.8)
 
 
-@pytest.mark.parametrize("form", [forms.WheelOffItsAxis, forms.Smoothed, forms.HeavyLink])
+@pytest.mark.parametrize(
+    "form",
+    [
+        forms.WheelOffItsAxis,
+        pytest.param(forms.Smoothed, marks=pytest.mark.nightly),
+        pytest.param(forms.HeavyLink, marks=pytest.mark.nightly),
+    ],
+)
 def test_another_formula_of_an_effect_is_named_as_that_effect(
     form: type[forms.Form], tmp_path: Path
 ) -> None:
