@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from in_process import forked_pytest
 
 from pytest_twin import cli
 
@@ -169,6 +170,10 @@ class Reader:
                 with pytest.MonkeyPatch.context() as patch:
                     patch.chdir(self.folder)
                     status = cli.main([w for word in words[1:] for w in self._expanded(word)])
+            elif words[0] == "pytest":
+                done = forked_pytest(*words[1:], cwd=self.folder, env=self._environment)
+                status = done.returncode
+                sys.stdout.write(done.stdout + done.stderr)
             else:
                 status = subprocess.run(words, cwd=self.folder, env=self._environment).returncode
             if status:

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from in_process import forked_pytest
 from two_pendulums import case
 
 JOINTS = ("elbow",)
@@ -24,11 +25,14 @@ tolerance: {{angle_rms: 3 mrad}}
 
 
 def run(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run pytest in the folder of a twin, as a user does."""
+    """Run pytest in the folder of a twin, with options that start or change processes apart."""
+    environment = os.environ | {"HOME": str(root.parent)}
+    if not {"-p", "-n"} & {*arguments}:
+        return forked_pytest("-p", "no:cacheprovider", *arguments, cwd=root, env=environment)
     return subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
         cwd=root,
-        env=os.environ | {"HOME": str(root.parent)},
+        env=environment,
         capture_output=True,
         text=True,
         timeout=100,

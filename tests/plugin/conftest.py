@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import coal
 import h5py
@@ -17,7 +16,7 @@ import numpy.fft
 import onnx
 import pinocchio
 import pytest
-from in_process import InProcess
+from in_process import GateInProcess
 from securesystemslib.signer import CryptoSigner
 
 # Imported here once: pytester unloads modules imported by an inner run, and extension modules
@@ -148,16 +147,6 @@ class TwinFolder:
     def releases(self) -> list[str]:
         folder = self.root / "releases"
         return sorted(path.name for path in folder.glob("[0-9]*")) if folder.is_dir() else []
-
-
-class GateInProcess(InProcess):
-    """Forgets the models that it loaded when its run ends, as a child does."""
-
-    def __init__(self, **bounds: Any) -> None:
-        super().__init__(**bounds)
-        for kept in vars(worker).values():
-            if hasattr(kept, "cache_clear"):
-                kept.cache_clear()
 
 
 @pytest.fixture(scope="module")

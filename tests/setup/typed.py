@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from in_process import forked_pytest
 
 from pytest_twin import cli
 
@@ -29,12 +30,12 @@ def run_apart(*command: str, cwd: Path, state: Path) -> subprocess.CompletedProc
 
 
 def run(*command: str, cwd: Path, state: Path) -> subprocess.CompletedProcess[str]:
-    """Run ``pytest-twin`` in this process, which saves its start, and other commands apart.
+    """Run ``pytest-twin`` in this process and ``pytest`` in a fork, which saves their start.
 
-    With the fixture ``commands_in_process`` its children are saved as well.
+    With the fixture ``commands_in_process`` the children of ``pytest-twin`` are saved as well.
     """
-    if command[0] != "pytest-twin":
-        return run_apart(*command, cwd=cwd, state=state)
+    if command[0] == "pytest":
+        return forked_pytest(*command[1:], cwd=cwd, env={**os.environ, **_folders(state)})
     out, err = io.StringIO(), io.StringIO()
     with (
         pytest.MonkeyPatch.context() as patch,

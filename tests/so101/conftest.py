@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from in_process import forked_pytest
 
 HERE = Path(__file__).parent
 RECORDINGS = Path(
@@ -43,17 +43,10 @@ class Workshop:
     home: Path
 
     def pytest(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Run pytest in the twin's folder in a new process."""
+        """Run pytest in the twin's folder."""
         folders = ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")
-        return subprocess.run(
-            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
-            cwd=self.root,
-            env=os.environ | dict.fromkeys(folders, str(self.home)),
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-        )
+        environment = os.environ | dict.fromkeys(folders, str(self.home))
+        return forked_pytest("-p", "no:cacheprovider", *arguments, cwd=self.root, env=environment)
 
 
 @pytest.fixture
