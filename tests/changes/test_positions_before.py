@@ -103,6 +103,7 @@ def test_a_held_out_recording_tests_the_change_and_is_not_fitted(
     assert 0.2 < finding["held_out_gain"] < 0.95
 
 
+@pytest.mark.nightly
 def test_in_a_repeated_motion_an_error_of_the_model_is_no_background(
     robot: Path, tmp_path: Path
 ) -> None:

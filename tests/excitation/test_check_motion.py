@@ -66,6 +66,7 @@ def test_short_motions_of_all_joints_keep_the_approved_limits(checked: Checked) 
         assert all((checked.out / name).is_file() for name in motion["files"])
 
 
+@pytest.mark.nightly
 def test_a_long_approved_duration_still_gives_a_sufficient_check_under_a_minute(
     tmp_path: Path,
 ) -> None:

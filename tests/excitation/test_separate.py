@@ -104,6 +104,7 @@ def test_efforts_of_a_followed_motion_do_not_show_a_delay(tmp_path: Path) -> Non
     assert "a model with a position or velocity servo" in str(caught.value)
 
 
+@pytest.mark.nightly
 def test_the_motion_of_servos_separates_a_delay_of_one_command_from_that_of_all_readings(
     tmp_path: Path,
 ) -> None:

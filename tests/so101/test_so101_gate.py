@@ -22,6 +22,7 @@ def test_the_declared_goldens_pass_and_are_released(so101) -> None:
     assert "staircase_motion.mcap" in (release / "results.json").read_text()
 
 
+@pytest.mark.nightly
 def test_a_tight_tolerance_fails_with_the_margin_of_each_joint(so101) -> None:
     shutil.copytree(TIGHT, so101.root / "golden" / "tight")
     ran = so101.pytest("--twin-release", "golden/tight")
