@@ -47,7 +47,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("commands_in_process")
-@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        # The page README.md has the same diagnosis.
+        pytest.param(name, marks=pytest.mark.nightly) if name == "diagnose" else name
+        for name in FUNCTIONS
+    ],
+)
 def test_the_example_in_the_docstring_of_a_function_runs(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

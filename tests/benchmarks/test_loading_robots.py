@@ -21,6 +21,7 @@ def run(*arguments: str | Path) -> str:
     return done.stdout
 
 
+@pytest.mark.nightly
 def test_the_table_of_robots_has_a_row_for_a_robot_with_every_time() -> None:
     pytest.importorskip("pinocchio")
     table = run("benchmarks/assets.py", "--only", "z1_description")

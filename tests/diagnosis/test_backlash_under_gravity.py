@@ -68,7 +68,6 @@ def problem() -> Problem:
     return Problem(simulator, np.arange(2), np.zeros(0, np.int64), floor, scales).at(EMPTY)
 
 
-@pytest.mark.nightly
 def test_backlash_is_found_where_its_weight_makes_it_an_offset(problem: Problem) -> None:
     found = searched(problem).incumbent.hypothesis
     assert found.terms == (JOINT,)

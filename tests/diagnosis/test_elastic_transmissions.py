@@ -35,6 +35,7 @@ def test_friction_at_a_joint_with_backlash_is_found(problem: Problem) -> None:
     assert set(found.terms) == {BACKLASH, FRICTION}
 
 
+@pytest.mark.nightly
 def test_backlash_is_found_in_addition_to_an_effect_that_explains_more() -> None:
     late = {"delay": 0.03}
     problem = problem_of(

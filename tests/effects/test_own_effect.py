@@ -46,6 +46,7 @@ def test_an_installed_effect_is_listed_by_the_effects_command(site: Path) -> Non
     assert row in done.stdout
 
 
+@pytest.mark.nightly
 def test_an_installed_effect_is_found_and_fitted_by_diagnose(site: Path, tmp_path: Path) -> None:
     words = case(tmp_path / "case", magnet=0.08)
     done = pytest_twin("diagnose", "--seconds", "0", *words, "--out", str(tmp_path / "why"))

@@ -109,6 +109,7 @@ def test_positions_of_a_data_set_are_those_of_the_joint(cell: Path) -> None:
     np.testing.assert_allclose(found[1], found[0], atol=1e-9)
 
 
+@pytest.mark.nightly
 def test_an_identification_simulates_the_commands_of_the_motor(cell: Path) -> None:
     plain, motor = (
         identified(cell / name / "out", cell / name / "twin.yaml",

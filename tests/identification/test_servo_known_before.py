@@ -58,6 +58,7 @@ def test_an_identification_takes_from_the_servo_what_the_motion_does_not_show(
     assert any("servo:swing" in part for part in document["basis"]["parts"])
 
 
+@pytest.mark.nightly
 def test_a_diagnosis_says_what_it_did_with_each_prior(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

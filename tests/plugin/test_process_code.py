@@ -193,6 +193,7 @@ def test_a_forged_cache_of_pytest_prevents_a_release(recorded) -> None:
     assert len(recorded.releases) == 1
 
 
+@pytest.mark.nightly
 def test_bytecode_caches_of_test_modules_prevent_no_release(recorded) -> None:
     recorded.write("conftest.py", "import helper\n")
     recorded.write("helper.py", "VALUE = 1\n")

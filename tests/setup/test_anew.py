@@ -12,6 +12,8 @@ import pytest
 from pytest_twin.cli import main
 from pytest_twin.formats.schema import load_schema
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 LINK = """<link name='{name}'><inertial><origin xyz='0 0 .1'/><mass value='1'/>
 <inertia ixx='.004' iyy='.004' izz='.001' ixy='0' ixz='0' iyz='0'/></inertial></link>"""
 ARM = f"""<robot name='arm'><link name='base'/>{LINK.format(name="upper")}{LINK.format(name="fore")}

@@ -46,7 +46,9 @@ def accept_proposed_findings(twin_file: Path) -> None:
     twin_file.write_text("\n".join(lines) + "\n")
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    "name", ["panda", "allegro", pytest.param("solo12", marks=pytest.mark.nightly)]
+)
 def test_init_and_release_work_for_a_urdf(name: str, tmp_path: Path) -> None:
     """All commands for the first robot are processes, as a person starts them."""
     typed = run_apart if name == "panda" else run

@@ -11,6 +11,8 @@ import trimesh
 from pytest_twin.cli import main
 from pytest_twin.twin import load_twin
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 INERTIAL = (
     '<inertial><mass value="1"/>'
     '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'

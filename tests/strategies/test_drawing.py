@@ -219,6 +219,7 @@ def _count(patches: dict[str, dict[str, dict[str, object]]]) -> int:
     )
 
 
+@pytest.mark.nightly
 def test_perturbed_assets_shrink_to_the_one_relevant_parameter(tmp_path: Path) -> None:
     path = tmp_path / "gripper.xml"
     path.write_text(GRIPPER)
