@@ -16,6 +16,8 @@ from pytest_twin.formats.schema import load_schema
 from pytest_twin.metrics.pose import pose_vector
 from pytest_twin.realization.serial_chain import load_serial_chain
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 

@@ -13,6 +13,8 @@ import pytest
 from pytest_twin import cli
 from pytest_twin.formats.schema import load_schema
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 MODEL = """<mujoco model="pendulum">
   <option timestep="0.005" integrator="implicitfast"/>
   <worldbody>

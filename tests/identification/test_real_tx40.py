@@ -11,6 +11,8 @@ import pytest
 
 from pytest_twin import cli
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "identification"
 
 

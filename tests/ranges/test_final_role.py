@@ -27,6 +27,8 @@ from pytest_twin.recording_options import NO_OPTIONS
 from pytest_twin.signals import NO_SIGNALS
 from pytest_twin.twin import DEFAULT_TOPICS, load_twin
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 WORDS = "a final recording only checks ranges: it is not used for {}"
 
 
