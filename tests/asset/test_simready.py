@@ -46,7 +46,14 @@ def findings(stage: Path, evidence: Path, out: Path) -> dict[str, dict[str, Any]
 
 
 @pytest.mark.skipif(_ENVIRONMENT is None, reason="needs tests/asset/simready_environment.sh")
-@pytest.mark.parametrize("urdf", [None, PANDA, ROBOTS / "solo_description/robots/solo12.urdf"])
+@pytest.mark.parametrize(
+    "urdf",
+    [
+        None,
+        pytest.param(PANDA, marks=pytest.mark.nightly),
+        ROBOTS / "solo_description/robots/solo12.urdf",
+    ],
+)
 def test_the_validator_of_nvidia_passes_a_stage_and_the_audit_says_so(
     tmp_path: Path, urdf: Path | None
 ) -> None:

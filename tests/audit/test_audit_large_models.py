@@ -101,6 +101,7 @@ def test_a_duplicate_body_is_reported_even_if_a_mesh_is_missing(tmp_path: Path) 
     ]
 
 
+@pytest.mark.usefixtures("rendered_figures")
 def test_three_thousand_spheres_are_audited_in_bounded_time(tmp_path: Path) -> None:
     start = time.process_time()
     found = audit_file(str(write(tmp_path, spheres(3000))))
@@ -150,7 +151,7 @@ def test_the_broad_phase_of_zero_or_one_shape_has_no_pair() -> None:
         assert found.shape == (0, 2)
 
 
-@pytest.mark.parametrize("count", [100, 3000, 5000])
+@pytest.mark.parametrize("count", [100, 3000, pytest.param(5000, marks=pytest.mark.nightly)])
 def test_a_picture_of_many_shapes_has_a_bounded_number_of_triangles(
     tmp_path: Path, count: int
 ) -> None:

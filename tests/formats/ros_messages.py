@@ -107,8 +107,11 @@ def trajectory(stamp: int, names: Sequence[str], points: Sequence[Any]) -> bytes
     return bytes(NEW.serialize_cdr(message, TRAJECTORY))
 
 
+ROS_1 = get_typestore(Stores.ROS1_NOETIC)
+
+
 def ros1_joint_state(stamp: int, names: Sequence[str], positions: Sequence[float]) -> bytes:
-    store = get_typestore(Stores.ROS1_NOETIC)
+    store = ROS_1
     sec, nanosec = divmod(stamp, 1_000_000_000)
     time = store.types["builtin_interfaces/msg/Time"](sec, nanosec)
     head = store.types["std_msgs/msg/Header"](7, time, "base")

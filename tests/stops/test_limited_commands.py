@@ -76,6 +76,7 @@ def test_an_identification_keeps_the_stages_that_it_finished(
     assert errors[1] < 0.9 * errors[0]
 
 
+@pytest.mark.nightly
 def test_a_longer_limit_never_gives_a_worse_identification(
     inputs: dict[str, Estimating], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -79,7 +79,7 @@ def run_and_signal(
         ("identify", signal.SIGTERM, has_children),
         ("identify", signal.SIGINT, is_computing),
         ("diagnose", signal.SIGTERM, is_writing),
-        ("randomize", signal.SIGTERM, is_computing),
+        pytest.param("randomize", signal.SIGTERM, is_computing, marks=pytest.mark.nightly),
         ("excite", signal.SIGTERM, is_computing),
         ("budget", signal.SIGTERM, has_children),
     ],
@@ -101,7 +101,9 @@ def test_a_signal_to_every_process_gives_the_best_answer(
     assert not list(tmp_path.glob(".pytest-twin-*")), "no temporary folder stays"
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [pytest.param(signal.SIGTERM, marks=pytest.mark.nightly), signal.SIGINT]
+)
 def test_a_stopped_fleet_lists_the_robots_that_it_did_not_try(
     tmp_path: Path, number: signal.Signals
 ) -> None:
