@@ -24,6 +24,11 @@ from in_process import forked_pytest
 from pytest_twin import cli
 
 ROOT = Path(__file__).parents[1]
+sys.path += [str(ROOT / "tests" / room) for room in ("audit", "calibration")]
+
+from audited import robots  # noqa: E402
+from test_calibrate_command import write_cell  # noqa: E402
+
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -382,6 +387,9 @@ def test_first_release_rollback_and_stamps(reader: Reader) -> None:
 @pytest.mark.parametrize("page", ["docs/how-to/supplier_robot.md", "docs/asset.md"])
 def test_the_robot_of_a_supplier(page: str, reader: Reader) -> None:
     supplier(reader.folder)
+    (reader.folder / "allegro.urdf").symlink_to(
+        robots() / "allegro_hand_description" / "urdf" / "allegro_right_hand.urdf"
+    )
     realize = "pytest-twin realize arm/source/urdf/arm.urdf --out arm"
     audit = "pytest-twin audit arm/source/urdf/arm.urdf"
     reader.follows(page, fails=(audit, realize) if "how-to" in page else (realize,))
@@ -404,8 +412,14 @@ def test_recordings_and_effects(reader: Reader) -> None:
     shutil.copy(EXAMPLE / "recordings" / "moves.csv", reader.folder / "log.csv")
     log, moves = (str(reader.folder / name) for name in ("log.csv", "moves.mcap"))
     assert cli.main(["convert", log, "--out", moves]) == 0
+    reader.follows("docs/how-to/view_replay.md")
     reader.follows("docs/how-to/recordings.md")
     reader.follows("docs/effects.md")
+
+
+def test_a_cell_is_calibrated(reader: Reader) -> None:
+    write_cell(reader.folder)
+    reader.follows("docs/calibration.md")
 
 
 def test_a_recording_becomes_a_test(reader: Reader) -> None:
