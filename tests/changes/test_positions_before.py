@@ -58,9 +58,21 @@ def compare(
 def test_unchanged_positions_are_no_change_although_the_model_is_wrong(
     robot: Path, tmp_path: Path
 ) -> None:
-    status, document = compare(robot, tmp_path / "out", new_recording(tmp_path))
+    """What the metadata declare is named as declared."""
+    warm = {**DECLARED, "temperature": "31.20000001", "tool": "gripper B"}
+    new = record(
+        tmp_path / "new.mcap", 20, seconds=2.0, joints=JOINTS, metadata=warm, **WRONG
+    )  # fmt: skip
+    status, document = compare(robot, tmp_path / "out", new)
     assert (status, document["verdict"], document["findings"]) == (0, "no_change", [])
     assert document["by"] == "simulation"
+    assert document["declared"] == [
+        {"what": "tool", "before": ["none"], "now": ["gripper B"], "in_model": False},
+        {"what": "temperature", "before": ["none"], "now": ["31.20000001"], "in_model": False},
+    ]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Declared: tool none before, gripper B now" in page
+    assert "Declared: temperature none before, 31.2 now" in page
 
 
 def test_more_dry_friction_is_named_with_the_value_before(robot: Path, tmp_path: Path) -> None:
@@ -127,22 +139,6 @@ def test_in_a_repeated_motion_an_error_of_the_model_is_no_background(
         "coulomb_friction", "left",
     )  # fmt: skip
     assert "again.mcap repeats old1.mcap" in (tmp_path / "out" / "report.html").read_text()
-
-
-def test_what_the_metadata_declare_is_named_as_declared(robot: Path, tmp_path: Path) -> None:
-    warm = {**DECLARED, "temperature": "31.20000001", "tool": "gripper B"}
-    new = record(
-        tmp_path / "new.mcap", 20, seconds=2.0, joints=JOINTS, metadata=warm, **WRONG
-    )  # fmt: skip
-    _, document = compare(robot, tmp_path / "out", new)
-    assert document["verdict"] == "no_change"
-    assert document["declared"] == [
-        {"what": "tool", "before": ["none"], "now": ["gripper B"], "in_model": False},
-        {"what": "temperature", "before": ["none"], "now": ["31.20000001"], "in_model": False},
-    ]
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "Declared: tool none before, gripper B now" in page
-    assert "Declared: temperature none before, 31.2 now" in page
 
 
 def test_a_later_command_is_a_delay_of_commands_or_readings(robot: Path, tmp_path: Path) -> None:
