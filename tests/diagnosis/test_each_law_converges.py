@@ -26,7 +26,7 @@ from pytest_twin.loaded_model import load_model
 LAWS = laws()
 WORSE = 1.1
 """Largest ratio of the residual to that with the true parameters."""
-SAMPLE = ("torque_saturation", "velocity_feedforward")
+SAMPLE = ("coulomb_friction", "torque_saturation", "velocity_feedforward")
 NO_SLOPE = "watchdog_timeout"
 """Its time acts in steps of the simulation: its fit ends at two noise floors."""
 SEEDS = 5
