@@ -93,6 +93,14 @@ def answer(robot: Robot, paths: Sequence[Path], model: Path, kind: str, number: 
         "kind": kind, "case": number, "effect": effect, "at": at, "verdict": document["verdict"],
         "score": document["alarm"]["score"], "threshold": document["alarm"]["threshold"],
         "named": named,
+        "candidates": [
+            [one["effect"], one["motor"] or one["joint"], one["confidence"]]
+            for one in document["candidates"]
+        ],
+        "explained": document["explained"],
+        "places": [
+            [one["motor"] or one["joint"], one["confidence"]] for one in document["places"]
+        ],
     }  # fmt: skip
 
 
@@ -128,6 +136,21 @@ def show(answers: Sequence[dict]) -> None:
             print(
                 f"{kind}: {len(own)} cases, alarm {len(alarms)}, named first and right "
                 f"{sum(right)} ({interval(sum(right), len(own))}; goal {GOALS[kind]} %)"
+            )
+    undecided = [one for one in answers if one.get("candidates")]
+    for kind in GOALS:
+        own = [one for one in undecided if one["kind"] == kind]
+        law = sum(
+            [one["effect"], one["at"]] in [c[:2] for c in one["candidates"][:1]] for one in own
+        )
+        listed = sum(
+            [one["effect"], one["at"]] in [c[:2] for c in one["candidates"]] for one in own
+        )
+        place = sum(one["places"][0][0] == one["at"] for one in own)
+        if own:
+            print(
+                f"{kind}, no name: {len(own)} cases, first candidate right {law}, law among the "
+                f"candidates {listed}, place right {place}"
             )
     if sure:
         print(f"names at 0.9: {right_and_sure} of {sure} right (goal 90 %)")

@@ -204,7 +204,7 @@ def answer(
         for shown in prepared.contrasts(change)
     )
     evidence = evidence_of(contrast, shapes, tempering.inflation)
-    named = best_possible(naming, shapes, types, tempering, robot.rows, prepared.background)
+    named = best_possible(naming, shapes, types, tempering, robot.rows, prepared.background).changes
     first = named[0]
     joint = first.shape.term.joint
     if first.motor is not None:

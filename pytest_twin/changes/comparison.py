@@ -20,7 +20,7 @@ from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.background import Background, Rows
 from pytest_twin.changes.evidence import evidence_of
 from pytest_twin.changes.motor_types import type_laws
-from pytest_twin.changes.naming import Change, best_possible
+from pytest_twin.changes.naming import LEAST_PROBABILITY, Candidate, Change, Naming, best_possible
 from pytest_twin.changes.prepared import Null, Prepared, prepare
 from pytest_twin.identification.effort.law_columns import Shape
 
@@ -38,6 +38,10 @@ class Comparison:
         score: log odds that some law changed in the later recordings.
         threshold: score above which it is an alarm.
         changes: named changes, the largest first.
+        candidates: the explanations between which the recordings do not decide, the most probable
+            first; empty where a change is named, the score is no alarm, or the first explains
+            nothing of what is new at its joints: then it names no joint either.
+        explained: share of what is new at its joints that the first candidate explains; 1 without.
         is_changed: whether the score is above the threshold, or a joint is unlike before.
         background: the laws as the earlier recordings show them.
         before, after: (joints,) RMS residual of the later recordings without and with the changes.
@@ -50,6 +54,8 @@ class Comparison:
     score: float
     threshold: float
     changes: tuple[Change, ...]
+    candidates: tuple[Candidate, ...]
+    explained: float
     is_changed: bool
     background: Background
     null: Null
@@ -98,11 +104,17 @@ def _is_inaccuracy(
     return bool(np.all(own <= accuracy * of_all))
 
 
-def _rms_effort(rows: Rows, later: Sequence[int], changes: Sequence[Change]) -> FloatArray:
-    """(joints,) RMS effort of changes along later recordings, N*m or N."""
+def _amplitudes(rows: Rows, changes: Sequence[Change]) -> FloatArray:
+    """(columns,) sum of changes, relative to the RMS effort."""
     amplitudes = np.zeros(len(rows.scale))
     for change in changes:
         amplitudes[change.shape.indices] += change.value
+    return amplitudes
+
+
+def _rms_effort(rows: Rows, later: Sequence[int], changes: Sequence[Change]) -> FloatArray:
+    """(joints,) RMS effort of changes along later recordings, N*m or N."""
+    amplitudes = _amplitudes(rows, changes)
     every = np.concatenate([rows.effort_of(i, amplitudes) for i in later])
     return np.asarray(np.sqrt(np.mean(every**2, axis=0)))
 
@@ -123,6 +135,26 @@ def _explained_share(own: FloatArray, left: FloatArray, added: FloatArray) -> fl
     weight = np.minimum(own / np.maximum(added, np.finfo(float).tiny), 1.0)
     whole = float(weight @ added)
     return 1.0 - min(float(weight @ left) / whole, 1.0) if whole > 0.0 else 1.0
+
+
+def _explained_shares(
+    rows: Rows,
+    later: Sequence[int],
+    prepared: Prepared,
+    changes: Sequence[Change],
+    before: FloatArray,
+) -> list[float]:
+    """Share of the additional residual that all changes explain where each of them acts.
+
+    Args:
+        before: (joints,) RMS residual of the later recordings without the changes.
+    """
+    changed = prepared.background.mean + _amplitudes(rows, changes)
+    left, added = prepared.rest(before, rows.residual_rms(later, changed))
+    return [
+        _explained_share((_rms_effort(rows, later, [change]) / prepared.expected) ** 2, left, added)
+        for change in changes
+    ]
 
 
 def compare(
@@ -151,12 +183,17 @@ def compare(
     score, threshold = tempering.score(shapes, evidence), prepared.threshold(level)
     types = type_laws(shapes, rows.scale, motors)
     changes: list[Change] = []
+    first: Naming | None = None
     changed = background.mean.copy()
     for _ in range(_MOST_CHANGES):
         if tempering.score(shapes, evidence) <= threshold:
             break
-        named = best_possible(naming, shapes, types, tempering, rows, background)
-        if named[0].confidence < SURE_OF_NAME or is_unpredicted(named, prepared, rows.size):
+        best = best_possible(naming, shapes, types, tempering, rows, background)
+        named = best.changes
+        if is_unpredicted(named, prepared, rows.size):
+            break
+        first = first or best
+        if named[0].confidence < SURE_OF_NAME:
             break
         if changes and (
             _is_named(named, changes)
@@ -172,28 +209,21 @@ def compare(
             rest = rest.without(columns, change.value)
             naming = naming.without(columns, change.value)
         evidence = evidence_of(rest, shapes, tempering.inflation)
-    after = rows.residual_rms(new, changed)
-    left, added = prepared.rest(before, after)
+    fitted = changes or ([] if first is None else first.changes)
+    share = _explained_shares(rows, new, prepared, fitted, before)
     changes = [
-        replace(
-            change,
-            confidence=change.confidence
-            * _explained_share(
-                (_rms_effort(rows, new, [change]) / prepared.expected) ** 2, left, added
-            ),
-        )
-        for change in changes
+        replace(change, confidence=change.confidence * each)
+        for change, each in zip(changes, share, strict=False)
     ]
     sure = tuple(change for change in changes if change.confidence >= SURE_OF_NAME)
-    if len(sure) < len(changes):
-        changed = background.mean.copy()
-        for change in sure:
-            changed[change.shape.indices] += change.value
-        after = rows.residual_rms(new, changed)
+    explained = share[0] if share and not sure else 1.0
+    is_open = first is not None and not sure and explained >= LEAST_PROBABILITY
+    candidates = tuple(first.candidates) if first is not None and is_open else ()
+    after = rows.residual_rms(new, background.mean + _amplitudes(rows, sure))
     unlike = prepared.unlike(level, before)
     return Comparison(
-        score, threshold, sure, score > threshold or bool(unlike.any()), background, null, before,
-        after, prepared.usual, prepared.uncertainty, unlike,
+        score, threshold, sure, candidates, explained, score > threshold or bool(unlike.any()),
+        background, null, before, after, prepared.usual, prepared.uncertainty, unlike,
     )  # fmt: skip
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.comparison import Comparison
 from pytest_twin.changes.find_changes import Changes
-from pytest_twin.changes.naming import Change
+from pytest_twin.changes.naming import LEAST_PROBABILITY, Change
 from pytest_twin.changes.tool_load import is_tool_load, mass_and_place
+from pytest_twin.diagnosis.not_separated import NEEDED_SHARE
 from pytest_twin.effects.base import Effect, si_unit
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.formats.record_fields import Z95
@@ -21,6 +22,8 @@ _FRICTION = "friction"
 """Family of the laws that are shown over velocity; others are shown over position."""
 _ACTS = 0.5
 """Fraction of a law's largest effort above which it counts as acting."""
+_MOST_CANDIDATES = 6
+"""Largest number of laws that are listed where none is named."""
 _MOST_WINDOWS = 8
 """Largest number of time intervals that are listed for one recording."""
 _MOST_SAMPLES = 400
@@ -44,6 +47,7 @@ def changes_document(found: Changes, *, level: float, release: int | None = None
         "before": {"recordings": _names(found, found.before), "release": release},
         "new": _names(found, found.new),
         "findings": [_finding(found, change) for change in comparison.changes],
+        **undecided_json(comparison, found.laws.joints),
         "alarm": alarm_json(comparison, level, found.sessions),
         "effort": residuals_json(comparison, found.laws.joints, units, comparison.after),
         "model_changes": [],
@@ -56,6 +60,37 @@ def verdict_of(is_changed: bool, is_named: bool) -> str:
     if not is_changed:
         return "no_change"
     return "changed" if is_named else "changed_unnamed"
+
+
+def undecided_json(comparison: Comparison, joints: Sequence[str]) -> dict[str, Any]:
+    """``places`` and ``candidates``: where something changed, and the likeliest laws.
+
+    What the first law does not explain of its joints is no evidence against the joints.
+    """
+    place_probability: dict[tuple[str | None, str | None], float] = {}
+    likeliest: list[dict[str, Any]] = []
+    share = 0.0
+    for one in comparison.candidates:
+        first, *others = ({"effect": t.effect, "joint": _joint(joints, t)} for t in one.terms)
+        place = (first["joint"], one.motor)
+        place_probability[place] = place_probability.get(place, 0.0) + one.probability
+        confidence = one.probability * comparison.explained
+        if share < NEEDED_SHARE and confidence >= LEAST_PROBABILITY:
+            likeliest.append(
+                first
+                | {"motor": one.motor, "confidence": round(confidence, 4)}
+                | ({"together_with": others} if others else {})
+            )
+        share += one.probability
+    return {
+        "places": [
+            {"joint": joint, "motor": motor, "confidence": round(p, 4)}
+            for (joint, motor), p in sorted(place_probability.items(), key=lambda each: -each[1])
+            if p >= LEAST_PROBABILITY
+        ],
+        "candidates": likeliest[:_MOST_CANDIDATES],
+        "explained": round(comparison.explained, 4) if comparison.candidates else None,
+    }
 
 
 def alarm_json(comparison: Comparison, level: float, sessions: str) -> dict[str, Any]:
@@ -99,7 +134,7 @@ def _finding(found: Changes, change: Change) -> dict[str, Any]:
     parameters, moved, known = _estimates(found, change)
     return {
         "effect": change.shape.term.effect,
-        "joint": _joint(found, change.shape.term),
+        "joint": _joint(found.laws.joints, change.shape.term),
         "scope": _scope(change),
         "motor": change.motor,
         "confidence": round(change.confidence, 4),
@@ -111,7 +146,11 @@ def _finding(found: Changes, change: Change) -> dict[str, Any]:
         "held_out_gain": None if found.removed is None else round(found.removed, 5),
         "residual_gain": round(change.gain, 5),
         "alternatives": [
-            {"effect": term.effect, "joint": _joint(found, term), "confidence": round(p, 4)}
+            {
+                "effect": term.effect,
+                "joint": _joint(found.laws.joints, term),
+                "confidence": round(p, 4),
+            }
             for term, p in change.rivals.items()
         ],
         "next_test": _next_test(change),
@@ -163,8 +202,8 @@ def _scope(change: Change) -> str:
     return "robot" if change.shape.term.joint < 0 else "joint"
 
 
-def _joint(found: Changes, term: Term) -> str | None:
-    return None if term.joint < 0 else found.laws.joints[term.joint]
+def _joint(joints: Sequence[str], term: Term) -> str | None:
+    return None if term.joint < 0 else joints[term.joint]
 
 
 def _next_test(change: Change) -> str:

@@ -25,7 +25,7 @@ from pytest_twin.changes.motor_types import TypeLaw
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.identification.effort.law_columns import Shape
 
-_LEAST_PROBABILITY = 0.01
+LEAST_PROBABILITY = 0.01
 """Probability below which another law is not listed."""
 
 
@@ -53,6 +53,35 @@ class Change:
     motor: str | None = None
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """An explanation of what changed: one law, two frictions of a joint, or a law of a motor type.
+
+    Attributes:
+        terms: its laws, at one joint; at -1 for the robot and below for a motor type.
+        motor: the motor type; None for a law of one joint or of the robot.
+        probability: among all explanations and no change, which exclude each other.
+    """
+
+    terms: tuple[Term, ...]
+    motor: str | None
+    probability: float
+
+
+@dataclass(frozen=True)
+class Naming:
+    """What changed.
+
+    Attributes:
+        changes: the most probable law in its best shape: one change, or one for each joint of a
+            motor type, or two frictions of a joint. Their gain is not yet known.
+        candidates: every explanation, the most probable first.
+    """
+
+    changes: list[Change]
+    candidates: list[Candidate]
+
+
 def best_possible(
     contrast: Contrast,
     shapes: Sequence[Shape],
@@ -60,8 +89,8 @@ def best_possible(
     tempering: Tempering,
     rows: Rows,
     background: Background,
-) -> list[Change]:
-    """The most probable law whose amplitudes the catalogue admits, as of :func:`best_change`.
+) -> Naming:
+    """The most probable law whose amplitudes the catalogue admits, and all others.
 
     Rows are linear in the amplitudes, so a law may fit with a size that it cannot have, such as an
     encoder offset of four turns.
@@ -73,10 +102,13 @@ def best_possible(
     evidence = evidence_of(contrast, shapes, tempering.inflation)
     position = {id(shape): k for k, shape in enumerate(shapes)}
     while True:
-        named = best_change(contrast, shapes, types, tempering, evidence, rows, background)
+        explanations = _Explanations(
+            contrast, shapes, types, joint_frictions(shapes), tempering, evidence, rows, background
+        )
+        named = explanations.named()
         impossible = [
             position[id(change.shape)]
-            for change in named
+            for change in named.changes
             if np.any(np.abs(change.value) > rows.largest[change.shape.indices])
         ]
         if not impossible or not np.isfinite(evidence[impossible]).any():
@@ -85,36 +117,8 @@ def best_possible(
         evidence[impossible] = -np.inf
 
 
-def best_change(
-    contrast: Contrast,
-    shapes: Sequence[Shape],
-    types: Sequence[TypeLaw],
-    tempering: Tempering,
-    evidence: FloatArray,
-    rows: Rows,
-    background: Background,
-) -> list[Change]:
-    """The most probable law in its best shape: one change, or one for each joint of a motor type.
-
-    Two frictions of one joint are two changes if both changed.
-
-    The gain is not yet known.
-    """
-    candidates = _Candidates(
-        contrast, shapes, types, joint_frictions(shapes), tempering, evidence, rows, background
-    )
-    alone = candidates.probability()
-    probability = candidates.shared_with_members(alone)
-    term = max(probability, key=lambda law: probability[law])
-    return (
-        candidates.both_frictions(term, alone, probability)
-        or candidates.whole_type(term, probability)
-        or [candidates.one_law(term, probability)]
-    )
-
-
 @dataclass(frozen=True)
-class _Candidates:
+class _Explanations:
     """Explanations of a difference: each law in each shape, laws of motor types, two frictions.
 
     Attributes:
@@ -129,6 +133,34 @@ class _Candidates:
     evidence: FloatArray
     rows: Rows
     background: Background
+
+    def named(self) -> Naming:
+        """The most probable law, and all explanations."""
+        alone = self.probability()
+        probability = self.shared_with_members(alone)
+        term = max(probability, key=lambda law: probability[law])
+        changes = (
+            self.both_frictions(term, alone, probability)
+            or self.whole_type(term, probability)
+            or [self.one_law(term, probability)]
+        )
+        if len(changes) == 1:
+            # A law with fewer amplitudes, or of one joint instead of its type, may be the name.
+            alone = _renamed(alone, term, changes[0].shape.term)
+        return Naming(changes, self.candidates(alone))
+
+    def candidates(self, alone: Mapping[Term, float]) -> list[Candidate]:
+        """Every explanation, the most probable first.
+
+        Args:
+            alone: law, law of a type or two frictions -> probability.
+        """
+        pairs = {p.term: tuple(self.shapes[k].term for k in p.members) for p in self.pairs}
+        motors = {law.term: law.motor for law in self.types}
+        return [
+            Candidate(pairs.get(term, (term,)), motors.get(term), probability)
+            for term, probability in sorted(alone.items(), key=lambda each: -each[1])
+        ]
 
     def probability(self) -> dict[Term, float]:
         """Law, law of a type or two frictions -> probability among all of them and no change."""
@@ -239,7 +271,7 @@ class _Candidates:
 
 
 def _renamed(probability: Mapping[Term, float], old: Term, new: Term) -> dict[Term, float]:
-    """Probabilities in which a law has that of a richer one, which is gone."""
+    """Probabilities in which a law has that of another one, which is gone."""
     if old == new:
         return dict(probability)
     others = {term: p for term, p in probability.items() if term != old}
@@ -290,7 +322,7 @@ def _rivals(probability: Mapping[Term, float], term: Term) -> dict[Term, float]:
     return {
         law: p
         for law, p in sorted(probability.items(), key=lambda each: -each[1])[:6]
-        if law != term and p >= _LEAST_PROBABILITY
+        if law != term and p >= LEAST_PROBABILITY
     }
 
 

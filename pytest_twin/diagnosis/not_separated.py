@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ _LIKELY = 1.0 - NEEDED_SHARE
 def state_not_separated(document: dict[str, Any], model: Path, folder: Path) -> None:
     """Add ``not_separated`` and the command to the findings of a diagnosis, in place.
 
+    Where no change has a name, the command is the ``next_test`` of the document.
+
     Args:
         document: content of ``diagnosis.json``.
         model: MODEL of the command.
@@ -29,14 +31,25 @@ def state_not_separated(document: dict[str, Any], model: Path, folder: Path) -> 
             continue
         shares = [one["confidence"] for one in names]
         stated: dict[str, Any] = {"names": names, "share": round(min(sum(shares), 1.0), 4)}
-        pair = [one["name"] for one in names if _is_of_a_motion(one)][:2]
-        if len(pair) == 2:
-            stated["command"] = shlex.join([
-                "pytest-twin", "excite", _from_here(model), "--separate", ",".join(pair),
-                "--diagnosis", _from_here(folder), "--out", "separating_motion",
-            ])  # fmt: skip
-            finding["next_test"] = f"{finding['next_test'].rstrip('.')}; or {stated['command']}"
+        command = _command([one["name"] for one in names], model, folder)
+        if command:
+            stated["command"] = command
+            finding["next_test"] = f"{finding['next_test'].rstrip('.')}; or {command}"
         finding["not_separated"] = stated
+    of_joints = [one for one in document.get("candidates", []) if one["motor"] is None]
+    if command := _command(["+".join(_names(one)) for one in of_joints], model, folder):
+        document["next_test"] = command
+
+
+def _command(names: Sequence[str], model: Path, folder: Path) -> str:
+    """Command for the motion that separates the two likeliest names; empty where none can."""
+    pair = [name for name in names if _is_of_a_motion(name)][:2]
+    if len(pair) < 2:
+        return ""
+    return shlex.join([
+        "pytest-twin", "excite", _from_here(model), "--separate", ",".join(pair),
+        "--diagnosis", _from_here(folder), "--out", "separating_motion",
+    ])  # fmt: skip
 
 
 def not_separated(finding: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -67,10 +80,10 @@ def _names(item: Mapping[str, Any]) -> Iterator[str]:
         yield one["effect"] if one.get("joint") is None else f"{one['effect']}@{one['joint']}"
 
 
-def _is_of_a_motion(one: Mapping[str, Any]) -> bool:
+def _is_of_a_motion(name: str) -> bool:
     """Whether ``excite --separate`` takes the name: one effect that a free motion can show."""
-    law = catalogue().get(one["name"].split("@")[0])
-    return "+" not in one["name"] and law is not None and law.candidate and law.family != "contact"
+    law = catalogue().get(name.split("@")[0])
+    return "+" not in name and law is not None and law.candidate and law.family != "contact"
 
 
 def _from_here(path: Path) -> str:

@@ -105,6 +105,8 @@ def read_diagnosed(folder: Path) -> Diagnosed:
             parameters[finding["effect"], finding["joint"]] = {
                 name: float(one["value"]) for name, one in finding["parameters"].items()
             }
+        for candidate in document.get("candidates", []):
+            joints.setdefault(candidate["effect"], []).append(candidate["joint"])
         for finding in findings:
             for other in finding["alternatives"]:
                 # Without "joint" an alternative acts at the joint of the finding.

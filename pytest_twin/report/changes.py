@@ -14,6 +14,7 @@ from pytest_twin.report.finding_words import (
     meaning_of,
     percent,
     place,
+    place_of_set,
     to_confirm,
 )
 from pytest_twin.report.page import Page, svg_uri
@@ -28,6 +29,8 @@ _VERDICT = {
 _AS_USUAL = 1.5
 """RMS residual, relative to the usual one, up to which it is no sign of a further change: both are
 estimates."""
+_LIKELIER_THAN_ALL_OTHERS = 0.5
+"""Probability above which a name is likelier than all others together."""
 _MOST_NAMES = 6
 """Largest number of recordings that are named at the top of the page."""
 _MOOD = {"no_change": "good", "changed": "bad", "changed_unnamed": "bad"}
@@ -39,7 +42,8 @@ def words(document: Mapping[str, Any]) -> list[str]:
     Args:
         document: content of ``diagnosis.json`` of ``diagnose --before``.
     """
-    lines = [headline(document), f"  {alarm_sentence(document)}"]
+    lines = [headline(document), *(f"  {line}" for line in _undecided(document))]
+    lines.append(f"  {alarm_sentence(document)}")
     for finding in document["findings"]:
         lines += [f"  {line}" for line in _before_and_after(finding)]
         lines.append(f"    Confidence: {percent(finding['confidence'])}. {_gain(finding)}")
@@ -57,6 +61,46 @@ def words(document: Mapping[str, Any]) -> list[str]:
     lines += [f"  {line}" for line in model_lines(document)]
     lines += [f"  Note: {note}" for note in document["notes"]]
     return lines
+
+
+def _undecided(document: Mapping[str, Any]) -> list[str]:
+    """Return lines with the likeliest laws where none is named, and how to decide."""
+    candidates = _candidates(document)
+    if not candidates:
+        return []
+    laws = ", ".join(f"{name} ({share})" for name, share in candidates)
+    return [f"Likeliest laws: {laws}.", *_what_is_open(document)]
+
+
+def _what_is_open(document: Mapping[str, Any]) -> list[str]:
+    """Return sentences on what the likeliest law leaves, and how to decide."""
+    lines = []
+    if (document.get("explained") or 0.0) < SURE:
+        lines.append(
+            f"The first explains {percent(document['explained'])} of what is new where it acts: "
+            "it is not the law, or not the only one."
+        )
+    if "next_test" in document:
+        lines.append(f"To decide: {document['next_test']}")
+    return lines
+
+
+def _candidates(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return names and probabilities of the likeliest laws where none is named."""
+    return [
+        (
+            place_of_set(one) if one["motor"] is None else f"{place(one)} {_where(one)}",
+            percent(one["confidence"]),
+        )
+        for one in document.get("candidates", [])
+    ]
+
+
+def _where(place: Mapping[str, Any]) -> str:
+    """Return the joint, the motor type or the robot, with its preposition."""
+    if place["motor"] is not None:
+        return f"in all motors of the type {place['motor']}"
+    return "in the whole robot" if place["joint"] is None else f"at joint {place['joint']}"
 
 
 def model_lines(document: Mapping[str, Any]) -> list[str]:
@@ -133,6 +177,11 @@ def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict as a sentence."""
     names = "; ".join(_from_to(finding) for finding in document["findings"])
     text = _VERDICT[document["verdict"]].format(names)
+    likeliest = next(iter(document.get("places", [])), None)
+    if likeliest is not None and likeliest["confidence"] > _LIKELIER_THAN_ALL_OTHERS:
+        probably = "" if likeliest["confidence"] >= SURE else "probably "
+        share = percent(likeliest["confidence"])
+        text = f"Changed {probably}{_where(likeliest)} ({share}); the law is not decided"
     larger = _larger(document)
     if document["findings"] and not larger:
         text += "; everything else as before"
@@ -153,8 +202,8 @@ def _from_to(finding: Mapping[str, Any]) -> str:
     """
     confidence, text = finding["confidence"], place(finding)
     if confidence < SURE:
-        # Above one half it is more likely than all others together.
-        text = f"probably {text}" if confidence > 0.5 else f"could be {text}"
+        is_probable = confidence > _LIKELIER_THAN_ALL_OTHERS
+        text = f"probably {text}" if is_probable else f"could be {text}"
     if not finding["change"]:
         return text
     key = max(finding["change"], key=lambda name: abs(finding["change"][name]["value"]))
@@ -199,6 +248,8 @@ def render(document: Mapping[str, Any]) -> str:
         headline=headline(document),
         mood=_MOOD[document["verdict"]],
         alarm=alarm_sentence(document),
+        candidates=_candidates(document),
+        open_questions=_what_is_open(document) if document.get("candidates") else [],
         model_changes=model_lines(document),
         declared=_declared(document),
         new=_listed(document["new"]),

@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from pytest_twin.changes.comparison import Comparison
+from pytest_twin.changes.document import undecided_json
+from pytest_twin.changes.naming import Candidate
 from pytest_twin.cli import main
+from pytest_twin.diagnosis.not_separated import state_not_separated
+from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.realization import Realization
-from pytest_twin.report.changes import headline
+from pytest_twin.report.changes import headline, render, words
 
 sys.path.append(str(Path(__file__).parents[1] / "identification"))
 from arms import simulated_effort, true_arm, write_model, write_recording
@@ -286,6 +292,59 @@ def test_a_change_that_no_law_describes_is_an_alarm_without_a_name(
     status, document = compare(robot, tmp_path / "out", new)
     assert (status, document["verdict"], document["findings"]) == (1, "changed_unnamed", [])
     assert any("what no law describes has grown at" in note for note in document["notes"])
+    # What no law explains supports no law, whatever the others are worth.
+    assert all(one["confidence"] < 0.5 for one in document["candidates"])
+
+
+def undecided(explained: float, *candidates: Candidate) -> dict[str, Any]:
+    """The part of a document that says where and what, if no change has a name."""
+    comparison = SimpleNamespace(candidates=candidates, explained=explained)
+    document = undecided_json(cast(Comparison, comparison), ["shoulder", "elbow"])
+    residual = {"elbow": {"rms_usual": 1.0, "rms_before": 9.0, "rms_after": 9.0, "unit": "N*m"}}
+    alarm = {"score": 3.0, "threshold": 1.0, "level": 0.05, "degrees_of_freedom": 4, "sessions": ""}
+    return document | {
+        "verdict": "changed_unnamed", "findings": [], "alarm": alarm, "effort": residual,
+        "model_changes": [], "notes": [], "new": ["new.csv"], "before": {"recordings": ["old.csv"]},
+    }  # fmt: skip
+
+
+def candidate(effect: str, joint: int, probability: float, *others: str) -> Candidate:
+    return Candidate(tuple(Term(e, joint) for e in (effect, *others)), None, probability)
+
+
+def test_without_a_name_the_joint_and_the_likeliest_laws_are_said() -> None:
+    document = undecided(
+        1.0, candidate("coulomb_friction", 1, 0.45), candidate("coulomb_friction", 1, 0.30,
+        "viscous_friction"), candidate("joint_spring", 1, 0.16), candidate("payload", -1, 0.08),
+    )  # fmt: skip
+    assert [one["joint"] for one in document["places"]] == ["elbow", None]
+    state_not_separated(document, Path("model.xml"), Path("out"))
+    first, laws, test, *_ = words(document)
+    assert first == "Changed at joint elbow (91 %); the law is not decided"
+    assert laws == (
+        "  Likeliest laws: Coulomb friction at joint elbow (45 %), Coulomb friction at joint elbow "
+        "and viscous friction at joint elbow (30 %), joint spring at joint elbow (16 %)."
+    )
+    assert "--separate coulomb_friction@elbow,joint_spring@elbow" in test
+    assert '<td class="wrap">Joint spring at joint elbow</td>' in render(document)
+
+
+def test_a_law_that_leaves_a_part_is_less_likely_but_its_joint_is_not() -> None:
+    document = undecided(0.4, candidate("cogging", 0, 0.97))
+    assert document["places"] == [{"joint": "shoulder", "motor": None, "confidence": 0.97}]
+    assert [one["confidence"] for one in document["candidates"]] == [0.388]
+    assert "  The first explains 40 % of what is new where it acts" in words(document)[2]
+
+
+def test_no_joint_is_stated_that_is_less_likely_than_the_others_together() -> None:
+    document = undecided(
+        1.0,
+        candidate("cogging", 0, 0.4),
+        candidate("cogging", 1, 0.3),
+        candidate("payload", -1, 0.2),
+    )
+    assert headline(document) == "Changed, and no single law of the catalogue explains it"
+    assert len(document["candidates"]) == 3
 
 
 def test_dry_and_viscous_friction_that_change_together_are_both_named(
@@ -318,6 +377,7 @@ def test_nothing_is_named_at_a_joint_whose_earlier_recordings_do_not_predict_eac
     status, document = compare(tmp_path, tmp_path / "out", tmp_path / "old11.csv")
     assert any("do not predict each other at elbow" in note for note in document["notes"])
     assert (status, document["verdict"], document["findings"]) == (1, "changed_unnamed", [])
+    assert (document["places"], document["candidates"]) == ([], [])
 
 
 def test_parts_with_fewer_rows_than_laws_are_refused(
