@@ -44,6 +44,7 @@ def random_cell(seed: int) -> tuple[cells.Cell, str]:
     return cell, mount
 
 
+@pytest.mark.nightly
 def test_95_percent_intervals_contain_the_true_values_in_90_to_99_percent_of_cases() -> None:
     inside = []
     for seed in range(20):

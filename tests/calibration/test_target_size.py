@@ -114,7 +114,12 @@ def test_a_target_of_another_size_is_rejected_with_the_factor(
 
 @pytest.mark.parametrize(
     ("kind", "mount"),
-    [("poses", "hand"), ("poses", "world"), ("images", "hand"), ("images", "world")],
+    [
+        ("poses", "hand"),
+        pytest.param("poses", "world", marks=pytest.mark.nightly),
+        pytest.param("images", "hand", marks=pytest.mark.nightly),
+        ("images", "world"),
+    ],
 )
 def test_intervals_contain_the_true_values_for_targets_within_the_tolerance(
     kind: str, mount: str

@@ -141,6 +141,7 @@ def test_in_a_repeated_motion_an_error_of_the_model_is_no_background(
     assert "again.mcap repeats old1.mcap" in (tmp_path / "out" / "report.html").read_text()
 
 
+@pytest.mark.nightly
 def test_a_later_command_is_a_delay_of_commands_or_readings(robot: Path, tmp_path: Path) -> None:
     _, document = compare(robot, tmp_path / "out", new_recording(tmp_path, delay=0.012))
     (finding,) = document["findings"]

@@ -133,6 +133,7 @@ def test_an_inherited_transmission_frees_the_initial_state_like_one_of_the_hypot
     assert inherited.free[0].response == pytest.approx(searched.free[0].response, rel=1e-9)
 
 
+@pytest.mark.nightly
 def test_the_initial_shift_of_a_motor_is_at_most_three_deflections_of_its_transmission() -> None:
     far = 40.0 * EFFORT / STIFFNESS
     found = estimated_starts(

@@ -142,6 +142,7 @@ def test_a_heavier_link_is_reduced_to_its_simplest_form() -> None:
     assert simplest.theta[0] == pytest.approx(0.4, abs=0.01)
 
 
+@pytest.mark.nightly
 def test_other_wavenumbers_are_proposed_and_the_right_one_is_found() -> None:
     friction = Term("position_dependent_friction", ELBOW)
     true = {"mean": 0.3, "sine": 0.15, "cosine": 0.1, "harmonic": 1.0}

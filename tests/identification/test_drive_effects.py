@@ -135,6 +135,7 @@ def test_a_twin_takes_the_limit_from_the_record(saturated: tuple[Path, dict[str,
     assert changed_attributes(fitted.model, robot.model) == {}
 
 
+@pytest.mark.nightly
 def test_a_dead_zone_is_identified_and_only_the_realization_contains_it(tmp_path: Path) -> None:
     document = identified(tmp_path, with_dead_zone(0.3))
     low, high = document["parameters"]["swing.dead_zone"]["ci95"]
