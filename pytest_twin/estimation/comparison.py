@@ -118,6 +118,8 @@ class Comparison:
             block[own] = count + np.arange(len(own)) * parts // max(len(own), 1)
             count += parts
         is_one = len(names) < 2
+        if count == _FEWEST_BLOCKS:
+            block = _halves_of_mismatch(finite / floor)
         part = np.empty(len(owner), dtype=np.int64)
         for name in names:
             (own,) = np.nonzero(owner == name)
@@ -234,6 +236,23 @@ class Comparison:
                 f"a model is compared on {residual.shape[0]} samples of {residual.shape[1]} "
                 f"signals; expected {expected[0]} samples of {expected[1]} signals"
             )
+
+
+def _halves_of_mismatch(relative: FloatArray) -> NDArray[np.int64]:
+    """(samples,) 0 in the first part of a recording, 1 in the second, with as much mismatch each.
+
+    In halves of the time, an effect that acts in one of them has no gain in the other. The mean
+    gain is then as large as its standard error, however large it is.
+
+    Args:
+        relative: (samples, signals) residual of the nominal model, in noise floors.
+    """
+    mismatch = np.cumsum(np.log1p(relative**2).sum(axis=1))
+    second = mismatch > 0.5 * mismatch[-1]
+    half = len(second) // 2
+    if second.all() or not second.any():
+        second = np.arange(len(second)) >= half
+    return np.asarray(second, dtype=np.int64)
 
 
 def _sums(

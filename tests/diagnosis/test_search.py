@@ -68,6 +68,16 @@ def test_a_disturbance_that_no_effect_explains_has_no_name(seed: int) -> None:
     assert terms_of(searched(drawn_physics(seed, disturbance=5.0))) == set()
 
 
+@pytest.mark.parametrize("size", [3.0, 8.0, 20.0])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_slow_disturbance_of_one_recording_has_no_name(seed: int, size: float) -> None:
+    """So slow that the recording has two blocks only."""
+    physics = drawn_physics(seed, recordings=1, samples=120)
+    cycles = 0.7 * np.linspace(0.0, 1.0, 120)[:, None] + np.random.default_rng(seed).uniform(size=2)
+    slow = size * FLOOR * np.sin(2.0 * np.pi * cycles)
+    assert terms_of(searched(replace(physics, measured=physics.measured + slow))) == set()
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_disturbance_beside_the_truth_adds_no_effect(seed: int) -> None:
     truth = drawn_truth(seed, 1)
