@@ -26,7 +26,7 @@ assert statement.read
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the proofs over many seeds; a sample of each, without the mark, always runs."""
+    """Leave out the long proofs; a shorter one of each kind, without the mark, always runs."""
     if os.environ.get("TWIN_NIGHTLY"):
         return
     long_proofs = [item for item in items if item.get_closest_marker("nightly")]

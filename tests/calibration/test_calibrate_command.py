@@ -16,7 +16,8 @@ from pytest_twin.formats.schema import load_schema
 from pytest_twin.metrics.pose import pose_vector
 from pytest_twin.realization.serial_chain import load_serial_chain
 
-pytestmark = pytest.mark.usefixtures("commands_in_process")
+IN_PROCESS = pytest.mark.usefixtures("commands_in_process")
+"""Of all tests but the first, which keeps the child process of the command."""
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
@@ -102,6 +103,7 @@ def test_calibrate_writes_estimates_with_intervals_and_held_out_errors(
     assert Path("out/calibrated.urdf").read_text() == "mine"
 
 
+@IN_PROCESS
 def test_zeros_of_the_first_and_last_joint_are_reported_as_unobservable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,6 +118,7 @@ def test_zeros_of_the_first_and_last_joint_are_reported_as_unobservable(
     assert "zero of fr3_joint7 and the rotation of the camera on the flange" in words
 
 
+@IN_PROCESS
 def test_a_calibration_with_errors_above_the_accepted_ones_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,6 +131,7 @@ def test_a_calibration_with_errors_above_the_accepted_ones_is_rejected(
     assert found == json.loads(Path("out/calibration.json").read_text())
 
 
+@IN_PROCESS
 @pytest.mark.parametrize("way", ["roots", "option"])
 def test_a_plan_may_name_files_in_folders_that_are_declared(
     way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -150,6 +154,7 @@ def test_a_plan_may_name_files_in_folders_that_are_declared(
     assert cli.main(command) == 0
 
 
+@IN_PROCESS
 def test_a_missing_joint_column_is_refused_with_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
