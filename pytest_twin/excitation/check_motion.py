@@ -174,8 +174,12 @@ def choose(
     progress(0.5)
     if not isinstance(responses, OfEfforts):
         by_name = {one.motion.name: one.score for one in judged}
-        order = _cover([by_name[one.motion.name] for one in safe])
-        safe = [safe[at] for at in order[:_SIMULATED]]
+        scores = [by_name[one.motion.name] for one in safe]
+        order = _cover(scores)
+        # By positions a motion may be worth more than by efforts: without others beside it, what
+        # the check reaches would be compared with itself.
+        others = sorted(set(range(len(safe))) - set(order), key=lambda at: -_count(scores[at]))
+        safe = [safe[at] for at in [*order, *others][:_SIMULATED]]
     compared: list[PairOdds] = []
     for at, one in enumerate(safe):
         progress(0.5 + 0.4 * at / len(safe))
@@ -192,6 +196,11 @@ def choose(
         motions.append((replace(safe[at], motion=replace(safe[at].motion, name=name)),
                         compared[at]))  # fmt: skip
     return ChosenCheck(tuple(motions), tuple(compared), () if motions else tuple(refused))
+
+
+def _count(odds: PairOdds) -> int:
+    """Number of laws that a motion shows and of pairs that it distinguishes."""
+    return Reached.by([odds]).count
 
 
 def _cover(odds: Sequence[PairOdds]) -> list[int]:

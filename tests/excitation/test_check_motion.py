@@ -170,6 +170,16 @@ def test_check_and_separate_together_are_refused_in_one_line(
     assert "--separate" in line
 
 
+@pytest.mark.nightly
+def test_with_servos_the_check_is_compared_with_other_motions(tmp_path: Path) -> None:
+    """By efforts one motion may reach all; by positions it is not its own measure."""
+    twin = write_twin(tmp_path, approved_for_arm(duration=5.0), ARM)
+    out = tmp_path / "out"
+    assert cli.main(["excite", str(twin), "--check", "--out", str(out)]) < 2
+    check = json.loads((out / "excitation.json").read_text())["check"]
+    assert (check["signals"], check["tried"]) == ("positions and efforts", 6)
+
+
 def test_the_command_says_what_the_check_can_and_cannot_tell(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
