@@ -35,6 +35,7 @@ def recorded(path: Path, effort: float) -> Trial:
     return make_trials(recordings_at(path, DEFAULT_TOPICS)[0], None, options)[0]
 
 
+@pytest.mark.usefixtures("rendered_figures")
 def test_resonances_of_recording_and_model_are_reported(tmp_path: Path) -> None:
     trial = recorded(tmp_path / "noise.csv", 2.0)
     stiffer = np.gradient(trial.position[:, 0])
