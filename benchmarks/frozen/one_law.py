@@ -1,10 +1,11 @@
 """One law of the catalogue alone on a drawn joint whose motion excites it at ten times the noise.
 
-The plant is the model with the law, in MuJoCo with a time step a quarter of the model's. It shares
-the laws with the package, because whether a law is named is the question, not whether it is right.
-Size of the law and excitation are judged by the change of the readings alone: a joint and a motion
-are drawn again until the law, at a size within its physical bounds, changes the readings by ten
-times their noise. Laws that reproduce this change to within the noise are in the truth file: on
+The plant is the model with the law, in MuJoCo with a time step of a 64th of the model's, so that
+its integration error is below the noise: a robot has none. It shares the laws with the package,
+because whether a law is named is the question, not whether it is right. Size of the law and
+excitation are judged by the change of the readings alone: a joint and a motion are drawn again
+until the law, at a size within its physical bounds, changes the readings by ten times their noise.
+Laws that reproduce this change to within the noise, with any parameters, are in the truth file: on
 these recordings nothing separates them.
 """
 
@@ -27,6 +28,7 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 from pytest_twin.effects.proposal import amplitude_indices, starting_sizes
 from pytest_twin.effects.segment import Predicted, Segment
 from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Scales, Term
+from pytest_twin.estimation.least_squares import fit
 from pytest_twin.formats.mcap import JointSeries, write_recording
 from pytest_twin.realization import Realization, load
 from pytest_twin.trial import Trial
@@ -37,7 +39,7 @@ TIMES_NOISE = 10.0
 """Root mean square change of the readings by the law, in standard deviations of their noise."""
 SAME = 1.0
 """The same measure, up to which another law predicts the same."""
-FINER = 4
+FINER = 64
 """Steps of the plant in one step of the model."""
 TRIES = 30
 """Joints and motions that are drawn until one excites the law."""
@@ -48,10 +50,12 @@ SIZES = np.geomspace(1e-3, 10.0, 13)
 """Multiples of a starting size of the law that are tried."""
 HALVINGS = 6
 """Steps of the search for the size between two of these multiples."""
-STARTS, FIRST = 6, 2
-"""Starting sizes of each other law, and recordings in which all of them are tried."""
-NEAR = 5.0
-"""Noise levels up to which a law that was scaled once is scaled again."""
+STARTS = 6
+"""Starting sizes of each other law that are tried."""
+NEAR = 0.95
+"""Share of the change that a scaled law may leave to be fitted."""
+ITERATIONS = 10
+"""Iterations of this fit."""
 
 
 def laws() -> list[str]:
@@ -185,6 +189,12 @@ def _mjcf(joints: Sequence[str], mode: str, slides: bool, rng: np.random.Generat
     )
 
 
+def _roughness(values: Floats) -> Floats:
+    """(n, joints) largest absolute second difference at a sample and beside it."""
+    second = np.abs(np.diff(np.pad(values, ((2, 2), (0, 0)), mode="edge"), n=2, axis=0))
+    return np.asarray(np.max([second[:-2], second[1:-1], second[2:]], axis=0))
+
+
 def _motion(kind: int, mode: str, time: Floats, rng: np.random.Generator) -> Floats:
     """(n,) commands of a recording: two kinds of multisine, moves with rests, slow reversals."""
     if kind == 1:
@@ -221,6 +231,10 @@ class Plant:
         self.scales: Scales = joint_scales(self.simulator, self.nominal)
         efforts = np.concatenate([p.effort for p in self.nominal])
         self.effort_noise = 0.005 * max(float(np.sqrt(np.mean(efforts**2))), 1e-3)
+        # A reading beside a jump of the effort is uncertain by the jump.
+        self.effort_levels = [
+            np.hypot(self.effort_noise, _roughness(p.effort)) for p in self.nominal
+        ]
 
     def _segment(self, k: int) -> Segment:
         drawn = self.drawn
@@ -234,10 +248,9 @@ class Plant:
         )  # fmt: skip
         return whole_segment(self.realization, trial, drawn.joints, 1.0)
 
-    def readings(
-        self, hypotheses: Sequence[Hypothesis], count: int = len(ROLES)
-    ) -> list[list[Predicted]]:
-        """Return sensor readings of the first ``count`` recordings, for each hypothesis."""
+    def readings(self, hypotheses: Sequence[Hypothesis]) -> list[list[Predicted]]:
+        """Return sensor readings of all recordings, for each hypothesis."""
+        count = len(ROLES)
         rows = np.tile(np.arange(count), len(hypotheses))
         each = [h for h in hypotheses for _ in range(count)]
         with np.errstate(all="ignore"):
@@ -319,7 +332,7 @@ class Plant:
     def equivalents(self, hidden: Hypothesis) -> list[list[Any]]:
         """Return [effect, joint] of laws that predict the same readings to within the noise.
 
-        Each law is scaled to the change by the hidden one twice, from its starting sizes.
+        A law is fitted from all its starting sizes if one of them, scaled, explains a part.
         """
         (term,) = hidden.terms
         starts: list[tuple[str, Floats]] = []
@@ -331,25 +344,25 @@ class Plant:
             unseen = law.needs_effort_sensor and not self.drawn.effort
             if name != term.effect and usable and not (periodic or coupled or unseen):
                 starts += [(name, s) for s in starting_sizes(law)[:STARTS]]
-        closest: dict[str, float] = {}
-        # Most laws are far away already in the first recordings.
-        for count in (FIRST, len(ROLES), len(ROLES)):
-            (real,) = self.readings([hidden], count)
-            nominal = self._stacked(self.nominal[:count])
-            wanted = self._stacked(real) - nominal
-            found = self.readings([self.only(name, s) for name, s in starts], count)
-            scaled = []
-            for (name, start), reading in zip(starts, found, strict=True):
-                change = self._stacked(reading) - nominal
-                if not np.isfinite(change).all() or not change.any():
-                    continue
-                if count == len(ROLES):
-                    off = float(np.sqrt(np.mean((change - wanted) ** 2)))
-                    closest[name] = min(off, closest.get(name, np.inf))
+        real, *found = self.readings([hidden, *(self.only(name, s) for name, s in starts)])
+        nominal = self.stacked(self.nominal)
+        wanted = self.stacked(real) - nominal
+        explains = set[str]()
+        for (name, _), reading in zip(starts, found, strict=True):
+            change = self.stacked(reading) - nominal
+            if np.isfinite(change).all() and change.any():
                 factor = float(change @ wanted / (change @ change))
-                if float(np.sqrt(np.mean((factor * change - wanted) ** 2))) <= NEAR:
-                    scaled.append((name, self._sized(name, start, factor)))
-            starts = scaled
+                left = float(np.linalg.norm(factor * change - wanted))
+                if left <= NEAR * float(np.linalg.norm(wanted)):
+                    explains.add(name)
+        starts = [(name, start) for name, start in starts if name in explains]
+        fits = fit(
+            _Change(self, self.stacked(real)), [self.only(name, start) for name, start in starts],
+            np.ones(1), np.arange(len(ROLES)), iterations=ITERATIONS, slopes=False,
+        )  # fmt: skip
+        closest: dict[str, float] = {}
+        for (name, _), found_fit in zip(starts, fits, strict=True):
+            closest[name] = min(closest.get(name, np.inf), float(np.sqrt(found_fit.cost)))
         general = {
             name for name in laws()
             if term.effect in catalogue()[name].generalizes or name in term.law.generalizes
@@ -357,11 +370,14 @@ class Plant:
         same = {name for name, off in closest.items() if off <= SAME} | (general & set(closest))
         return [[name, self.joint_of(name)] for name in sorted(same)]
 
-    def _stacked(self, readings: list[Predicted]) -> Floats:
+    def stacked(self, readings: list[Predicted]) -> Floats:
         """Return all readings in multiples of their noise."""
         parts = [p.position.ravel() / self.drawn.noise for p in readings]
         if self.drawn.effort:
-            parts += [p.effort.ravel() / self.effort_noise for p in readings]
+            parts += [
+                (p.effort / level).ravel()
+                for p, level in zip(readings, self.effort_levels, strict=True)
+            ]
         return np.concatenate(parts)
 
     def write(
@@ -400,3 +416,22 @@ class Plant:
             [p for role, p in files if role == "fit"],
             [p for role, p in files if role == "held_out"],
         )
+
+
+@dataclass(frozen=True)
+class _Change:
+    """Differences of predicted readings to those of the plant, for a fit.
+
+    Attributes:
+        wanted: stacked readings of the plant.
+    """
+
+    plant: Plant
+    wanted: Floats
+
+    def residuals(
+        self, hypotheses: Sequence[Hypothesis], segments: NDArray[np.int64]
+    ) -> list[Floats]:
+        """(samples, 1) differences in noise levels, for each hypothesis."""
+        found = self.plant.readings(hypotheses)
+        return [(self.wanted - self.plant.stacked(each))[:, None] for each in found]

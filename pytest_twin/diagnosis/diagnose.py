@@ -27,7 +27,7 @@ from pytest_twin.diagnosis.unnamed_law.confirmation import (
     fit_laws_to_residual,
 )
 from pytest_twin.diagnosis.unnamed_law.fit import FreeLaws
-from pytest_twin.diagnosis.verdict import JointError, Verdict, stated_verdict
+from pytest_twin.diagnosis.verdict import JointError, Verdict, stated_verdict, verdict
 from pytest_twin.diagnosis.window_length import window_of_errors
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.realization import Realization
@@ -188,10 +188,12 @@ def diagnose(
         evaluated = evaluate_on_test(structure, trials)
         tested, unexplained_residuals = evaluated.tested, dict[str, UnexplainedResidual]()
         stated, longest = stated_verdict(tested.verdict, tested.errors), None
-        if stated == "explained":
+        if stated in ("explained", "no_mismatch"):
             longest = errors_over_longest_windows(tested, structure.setup)
         if longest is not None:
-            stated = stated_verdict(stated, longest.errors)
+            stated = stated_verdict(
+                verdict(longest.errors, evaluated.explanation.findings), longest.errors
+            )
         if stated in ("improved", "unexplained"):
             unexplained_residuals = locate_unexplained(tested, *evaluated.location)
         free = confirm_on_test(

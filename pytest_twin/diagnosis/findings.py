@@ -74,7 +74,8 @@ class Finding:
         next_test: the experiment that separates it from the most likely alternative.
         correlated: parameters of which only a combination is identifiable, one line each.
         term: effect and column of the joint in the problem.
-        small: reason why it is a small correction instead of missing physics; empty for a finding.
+        small: reason why it is a correction of the model instead of missing physics; empty for a
+            finding.
     """
 
     effect: str
@@ -143,6 +144,7 @@ def build_explanation(
     )
     gains = _gains(problem, residuals)
     paths = smooth_motions(prepared, trials)
+    small = {**named.unresolved, **small}
     found = []
     for term, without, gain, largest in zip(
         hypothesis.terms, residuals[1:], gains, influence, strict=True

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +16,9 @@ from pytest_twin.diagnosis.findings import order_by_whole_motions
 from pytest_twin.diagnosis.first_answer import hypothesis_of
 from pytest_twin.diagnosis.first_order.sensitivities import starts_in_first_form
 from pytest_twin.diagnosis.intervals import parameter_uncertainty
+from pytest_twin.diagnosis.longest_windows import followed_windows
 from pytest_twin.diagnosis.model_setup import ModelSetup
-from pytest_twin.diagnosis.noise_levels import label
+from pytest_twin.diagnosis.noise_levels import in_noise_floors, label
 from pytest_twin.diagnosis.patched.model import PatchedModel
 from pytest_twin.diagnosis.patched.native import mjcf_expresses
 from pytest_twin.diagnosis.prepare import PreparedProblem, discretization_rms
@@ -71,6 +73,10 @@ _WHOLE_SHARE = 0.4
 _WINDOWS_NOTE = (
     "all errors are of predictions over windows of {:.2g} s that start from measured states: over "
     "whole recordings small errors of this motion grow"
+)
+_UNRESOLVED = (
+    "its 95 % interval contains its absence, but without it the recordings are predicted worse, so "
+    "it has no name"
 )
 _ONE_RECORDING_NOTE = (
     "effects were accepted on parts of one recording, because there is no second one to predict; "
@@ -169,7 +175,7 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
         assert isinstance(physics, SimulatedPhysics)
         whole = SimulatedPhysics(physics.setup, prepared, trials, whole.possible)
         if start.terms and not _follows(problem, start):
-            return in_windows
+            return _in_longer_windows(in_windows, run)
     both = start
     for term in first.terms:
         both = both if term in both.terms else both.with_term_of(first, term)
@@ -195,7 +201,27 @@ def _search_recordings(whole: SimulatedPhysics, run: Run) -> SearchOutcome:
         return _search(
             SimulatedPhysics(setup, windows, kept), run, f"windows of {WINDOW:.2g} s", [best]
         )
-    return found
+    return _in_longer_windows(found, run)
+
+
+def _in_longer_windows(found: SearchOutcome, run: Run) -> SearchOutcome:
+    """The search continued in the longest windows that the model follows, if it misses there.
+
+    Short windows begin with measured states and do not show an effect that needs time to act.
+    """
+    physics, best = found.physics, found.incumbent.hypothesis
+    assert isinstance(physics, SimulatedPhysics)
+    setup = replace(physics.setup, cold_fractions=physics.prepared.cold_fractions)
+    followed = followed_windows(best, physics.prepared.problem, setup, physics.trials)
+    if followed is None or not found.is_complete:
+        return found
+    seconds, prepared, trials = followed
+    joints = len(prepared.problem.joints)
+    left = residuals_everywhere(prepared.problem, best)[:, :joints]
+    if (in_noise_floors(left, prepared.problem.floor) <= VERDICT.at_floor).all():
+        return found
+    longer = SimulatedPhysics(physics.setup, prepared, trials)
+    return _search(longer, run, f"windows of {seconds:.2g} s", [best])
 
 
 def _with_last_effects(found: SearchOutcome, run: Run) -> SearchOutcome:
@@ -328,9 +354,9 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
         is_late: whether the time of the search is over; fits then take few steps.
     """
     problem, notes = physics.problem, list[str]()
-    start = found.incumbent.hypothesis
+    model = _refit(physics, found, found.incumbent.hypothesis, is_late=is_late)
     while True:
-        found = replace(found, incumbent=_refit(physics, found, start, is_late=is_late))
+        found = replace(found, incumbent=model)
         best = best_named(found, _inexpressible, physics.is_possible)
         if best is not found.incumbent.hypothesis:
             renamed = _refit(physics, found, best, is_late=is_late)
@@ -349,13 +375,44 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
         }
         uncertainty = combine(here, fitted, parameter_uncertainty(here, fitted)).uncertainty
         rejected = rejections(model, found.nominal, without, uncertainty, physics)
-        if not rejected:
+        if rejected.wrong or not rejected.absent:
+            gone, simpler = rejected.wrong, None
+        else:
+            gone, simpler = _absent(physics, found, rejected.absent, is_late=is_late)
+        if not gone:
             break
-        notes += [f"rejected: {label(problem, t)}: {why}" for t, why in rejected.items()]
-        start = model.hypothesis.without(*rejected)
+        notes += [f"rejected: {label(problem, t)}: {why}" for t, why in gone.items()]
+        rest = model.hypothesis.without(*gone)
+        model = simpler or _refit(physics, found, rest, is_late=is_late)
     shares = posterior(found, physics.is_possible)
-    named = NamedModel(fitted, [f.hypothesis for f in refitted], shares, notes)
+    named = NamedModel(
+        fitted, [f.hypothesis for f in refitted], shares, notes,
+        dict.fromkeys(rejected.absent, _UNRESOLVED),
+    )  # fmt: skip
     return build_result(physics.prepared, physics.trials, named, found.comparison.candidates)
+
+
+def _absent(
+    physics: SimulatedPhysics, found: SearchOutcome, absent: Mapping[Term, str], *, is_late: bool
+) -> tuple[Mapping[Term, str], Model | None]:
+    """The most effects whose absence the intervals allow and the score does not contradict.
+
+    An interval is that of the motion linearized at the fit, and a fit that a limit ended has not
+    converged. Where a refit without effects is worse, these remain, without a name.
+
+    Args:
+        absent: effects whose intervals contain their absence, the least needed first.
+
+    Returns:
+        These effects with their reasons, and the model without them.
+    """
+    model = found.incumbent
+    for count in range(len(absent), 0, -1):
+        gone = dict(itertools.islice(absent.items(), count))
+        simpler = _refit(physics, found, model.hypothesis.without(*gone), is_late=is_late)
+        if simpler.score > model.score - SETTINGS.earns:
+            return gone, simpler
+    return {}, None
 
 
 def _with_special_cases(

@@ -12,7 +12,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
-from frozen.one_law import FINER, TRIES, Plant, draw, laws
+from frozen.one_law import TRIES, Plant, draw, laws
 
 from pytest_twin.diagnosis.build_problem import build_problem
 from pytest_twin.diagnosis.model_setup import ModelSetup
@@ -50,7 +50,7 @@ def floors_after(effect: str, seed: int, folder: Path) -> tuple[float, ...] | No
             break
     else:
         pytest.skip(f"no drawn motion excites {effect}")
-    plant = Plant(drawn, loaded.realization, FINER)
+    plant = Plant(drawn, loaded.realization, 4)
     (real,) = plant.readings([plant.only(effect, theta)])
     fit, _ = plant.write(folder, real, rng)
     trials = read_trials(fit, [], loaded.topics, loaded.realization.structure)

@@ -9,7 +9,7 @@ them: exchanges of independent causes share nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -89,12 +89,14 @@ class NamedModel:
     Attributes:
         reduced_models: the model refitted without each effect.
         notes: a line for each effect without a name.
+        unresolved: effects of the model that carry no name -> the reason.
     """
 
     fitted: FittedModel
     reduced_models: Sequence[Hypothesis]
     posterior: Posterior
     notes: Sequence[str] = ()
+    unresolved: Mapping[Term, str] = field(default_factory=dict)
 
 
 def posterior(

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,14 +26,27 @@ _MAY_REMAIN = 0.25
 """Largest share of the squared mismatch that may remain where an effect acts."""
 
 
+@dataclass(frozen=True, slots=True)
+class Rejections:
+    """Effects without a name -> the reason, for the reader.
+
+    Attributes:
+        wrong: impossible, or they leave much where they act.
+        absent: their intervals contain their absence; the least needed first.
+    """
+
+    wrong: Mapping[Term, str]
+    absent: Mapping[Term, str]
+
+
 def rejections(
     model: Model,
     nominal: Model,
     without_each: Mapping[Term, FloatArray],
     uncertainty: ParameterUncertainty,
     physics: Physics,
-) -> dict[Term, str]:
-    """Effects without a name -> the reason, for the reader.
+) -> Rejections:
+    """Effects without a name, by the rules above.
 
     Args:
         model: the last incumbent, with its Jacobian.
@@ -63,7 +77,7 @@ def rejections(
             )
     may_be_absent.sort(key=lambda t: float(np.sum(without_each[t] / floor**2)))
     absent = absent_together(model, may_be_absent, uncertainty, floor)
-    return {**out, **dict.fromkeys(absent, "its 95 % interval contains its absence")}
+    return Rejections(out, dict.fromkeys(absent, "its 95 % interval contains its absence"))
 
 
 def absent_together(

@@ -243,7 +243,7 @@ class Search:
         return (
             self._accept_one(view, distant, incumbent)
             or self._other_settings(incumbent)
-            or self._accept_one(view, self._from_starts(view, models, incumbent), incumbent)
+            or self._accept_one(view, self._fitted_starts(view, models, incumbent), incumbent)
             or self._from_another_model(incumbent)
             or self._accept_one(view, self._rivals(view, proposals, incumbent), incumbent)
         )
@@ -503,6 +503,26 @@ class Search:
         hypotheses = proposed_starts(self.physics, incumbent, best, unexplained, _STARTS, of)
         started = self._simulate(hypotheses, incumbent.corrected_at, "start of an effect")
         return self._fit_best(view, started, incumbent, 3)
+
+    def _fitted_starts(
+        self, view: View, models: Sequence[Model], incumbent: Model
+    ) -> list[Model]:
+        """The best models with effects to which no slope leads, fitted by simulation.
+
+        A fit along the incumbent's motion does not converge to such effects.
+        """
+        if not self._exceeds(incumbent, VERDICT.at_floor):
+            return []
+        own = incumbent.hypothesis.terms
+        started = [
+            *self._from_starts(view, models, incumbent),
+            *(
+                m for m in models
+                if any(t not in own and not t.law.nearly_linear for t in m.hypothesis.terms)
+            ),
+        ]  # fmt: skip
+        ranked = sorted((m for m in started if m.is_finite), key=lambda m: -m.score)
+        return [self._fitted(m) for m in ranked[: self.settings.fitted_rivals]]
 
     def _rivals(self, view: View, proposals: Sequence[Neighbour], incumbent: Model) -> list[Model]:
         """Alternatives to the effects of the incumbent, simulated and fitted."""
