@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from two_pendulums import ARMATURE, DAMPING, INERTIA, LENGTH, MASS, STEP, reference, write
 
+from pytest_twin.diagnosis import search_recordings
 from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.diagnose import diagnose
 from pytest_twin.diagnosis.findings import Explanation
 from pytest_twin.diagnosis.longest_windows import errors_over_longest_windows
 from pytest_twin.diagnosis.model_setup import ModelSetup
+from pytest_twin.diagnosis.search.model import Model
+from pytest_twin.diagnosis.search.report_rules import Rejections
 from pytest_twin.diagnosis.search_result import SearchResult, joint_errors
 from pytest_twin.diagnosis.trials import TrialSet, read_trials
 from pytest_twin.diagnosis.window_length import model_follows_recordings, window_of_errors
@@ -111,3 +114,29 @@ def test_an_error_that_short_windows_hide_is_measured_in_the_longest_that_the_mo
     assert longest.seconds >= 2.0 * short
     (before,), (after,) = found.errors.values(), longest.errors.values()
     assert after.after / after.floor > 2.0 * before.after / before.floor
+
+
+@pytest.mark.parametrize(("load", "verdict"), [(0.0, "no_mismatch"), (0.01, "explained")])
+def test_what_only_long_windows_show_is_sought_in_them(
+    tmp_path: Path, load: float, verdict: str
+) -> None:
+    """In windows of 0.5 s a payload of 10 g changes the motion by less than three noise floors."""
+    found = diagnose(*case_of(tmp_path, load), threads=1)
+    assert found.verdict == verdict
+    assert {t.law.family for t in found.explanation.hypothesis.terms} == (
+        {"rigid_body"} if load else set()
+    )
+
+
+def test_an_effect_whose_interval_contains_its_absence_stays_if_its_removal_predicts_worse(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The interval of a fit that a limit ended may be far too wide."""
+
+    def all_absent(model: Model, *rest: object) -> Rejections:
+        return Rejections({}, dict.fromkeys(model.hypothesis.terms, "it may be absent"))
+
+    monkeypatch.setattr(search_recordings, "rejections", all_absent)
+    found = diagnose(*case_of(tmp_path, load=0.1), threads=1).explanation
+    assert {t.law.family for t in found.hypothesis.terms} == {"rigid_body"}
+    assert all("without it the recordings are predicted worse" in f.small for f in found.findings)
