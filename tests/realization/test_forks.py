@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import time
+import traceback
 from functools import partial
 from pathlib import Path
 
@@ -81,8 +82,7 @@ def test_a_task_that_fails_in_a_fork_is_repeated_in_the_parent() -> None:
     assert free_cores(4) == 4
 
 
-@forks
-def test_no_process_and_no_pipe_remains() -> None:
+def _leaves_no_process_and_no_pipe() -> None:
     before = _open_files()
 
     def interrupted() -> None:
@@ -99,6 +99,22 @@ def test_no_process_and_no_pipe_remains() -> None:
             os.waitpid(-1, os.WNOHANG)
     gc.collect()
     assert _open_files() == before
+
+
+@forks
+def test_no_process_and_no_pipe_remains() -> None:
+    """In a fork, which has no children of other tests."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            _leaves_no_process_and_no_pipe()
+            status = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 @forks
