@@ -56,9 +56,7 @@ def followed_windows(
     seconds = max(t.duration for t in trials.held_out or trials.fit)
     while seconds >= 2.0 * short:
         with contextlib.suppress(TwinError):
-            prepared, kept = build_problem(
-                setup, trials, [], window=seconds, scales=problem.scales
-            )
+            prepared, kept = build_problem(setup, trials, [], window=seconds, scales=problem.scales)
             if model_follows_recordings(
                 prepared.problem, residuals_everywhere(prepared.problem, hypothesis)
             ):

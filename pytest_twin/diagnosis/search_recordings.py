@@ -407,7 +407,9 @@ def _absent(
         These effects with their reasons, and the model without them.
     """
     model = found.incumbent
-    for count in range(len(absent), 0, -1):
+    # After the limit there is time for one refit.
+    fewest = len(absent) - 1 if is_late else 0
+    for count in range(len(absent), fewest, -1):
         gone = dict(itertools.islice(absent.items(), count))
         simpler = _refit(physics, found, model.hypothesis.without(*gone), is_late=is_late)
         if simpler.score > model.score - SETTINGS.earns:

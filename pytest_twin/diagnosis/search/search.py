@@ -504,9 +504,7 @@ class Search:
         started = self._simulate(hypotheses, incumbent.corrected_at, "start of an effect")
         return self._fit_best(view, started, incumbent, 3)
 
-    def _fitted_starts(
-        self, view: View, models: Sequence[Model], incumbent: Model
-    ) -> list[Model]:
+    def _fitted_starts(self, view: View, models: Sequence[Model], incumbent: Model) -> list[Model]:
         """The best models with effects to which no slope leads, fitted by simulation.
 
         A fit along the incumbent's motion does not converge to such effects.
