@@ -188,7 +188,11 @@ def _check(document: dict[str, Any], out: Path) -> list[str]:
     ]
     missed = [",".join(pair) for pair in check["not_separated"]]
     for words, mark, names in (
-        ("not distinguished; a motion of its own does: pytest-twin excite --separate", "!", missed),
+        (
+            "not distinguished; a motion of its own does: pytest-twin excite MODEL --separate",
+            "!",
+            missed,
+        ),
         ("shown only by another motion:", "!", check["not_shown"]),
         ("act alike along every compared motion:", "=", [" = ".join(g) for g in check["groups"]]),
     ):
