@@ -72,8 +72,9 @@ def undecided_json(comparison: Comparison, joints: Sequence[str]) -> dict[str, A
     share = 0.0
     for one in comparison.candidates:
         first, *others = ({"effect": t.effect, "joint": _joint(joints, t)} for t in one.terms)
-        place = (first["joint"], one.motor)
-        place_probability[place] = place_probability.get(place, 0.0) + one.probability
+        joint_and_motor = (first["joint"], one.motor)
+        place_probability.setdefault(joint_and_motor, 0.0)
+        place_probability[joint_and_motor] += one.probability
         confidence = one.probability * comparison.explained
         if share < NEEDED_SHARE and confidence >= LEAST_PROBABILITY:
             likeliest.append(

@@ -139,12 +139,11 @@ def build_explanation(
     residuals = problem.residuals([hypothesis, *named.reduced_models], problem.all_segments)
     changes = _prediction_changes(problem, [hypothesis, *without_each])
     influence = [c.largest for c in changes]
-    small = small_corrections(
+    small = named.unresolved | small_corrections(
         problem, hypothesis, np.array([c.positions for c in changes]), _nominal_error(problem)
     )
     gains = _gains(problem, residuals)
     paths = smooth_motions(prepared, trials)
-    small = {**named.unresolved, **small}
     found = []
     for term, without, gain, largest in zip(
         hypothesis.terms, residuals[1:], gains, influence, strict=True

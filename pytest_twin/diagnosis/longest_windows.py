@@ -6,14 +6,13 @@ residual is small: that the residual is at the noise floor is shown by long ones
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.build_problem import build_problem, residuals_everywhere
 from pytest_twin.diagnosis.model_setup import ModelSetup
 from pytest_twin.diagnosis.prepare import PreparedProblem
-from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search_result import SearchResult, joint_errors
 from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.diagnosis.verdict import JointError
@@ -35,32 +34,50 @@ class LongWindows:
     errors: Mapping[str, JointError]
 
 
+@dataclass(frozen=True, slots=True)
+class FollowedWindows:
+    """The longest windows that a model follows.
+
+    Attributes:
+        seconds: their duration, s.
+        prepared: their problem.
+        trials: the recordings that are used.
+        residual: (samples, signals) of the model in all of them.
+    """
+
+    seconds: float
+    prepared: PreparedProblem
+    trials: TrialSet
+    residual: FloatArray
+
+
 def followed_windows(
-    hypothesis: Hypothesis, problem: Problem, setup: ModelSetup, trials: TrialSet
-) -> tuple[float, PreparedProblem, TrialSet] | None:
+    hypothesis: Hypothesis, cut: PreparedProblem, setup: ModelSetup, trials: TrialSet
+) -> FollowedWindows | None:
     """Whole recordings, halves, quarters: the longest windows that a model follows.
 
     None if a problem has whole recordings already, or the model follows no windows that are at
     least twice as long as its own.
 
     Args:
-        hypothesis: effects of the model, in the scales of ``problem``.
-        trials: recordings; only those to be predicted are followed, if there are any.
-
-    Returns:
-        Duration of the windows, s, their problem with the same scales, and the used recordings.
+        hypothesis: effects of the model, in the scales of ``cut``, which the windows keep.
+        cut: the problem with short windows.
+        trials: its recordings.
     """
-    short = window_of_errors(problem)
+    short = window_of_errors(cut.problem)
     if short is None:
         return None
+    setup, scales = replace(setup, cold_fractions=cut.cold_fractions), cut.problem.scales
     seconds = max(t.duration for t in trials.held_out or trials.fit)
     while seconds >= 2.0 * short:
-        with contextlib.suppress(TwinError):
-            prepared, kept = build_problem(setup, trials, [], window=seconds, scales=problem.scales)
-            if model_follows_recordings(
-                prepared.problem, residuals_everywhere(prepared.problem, hypothesis)
-            ):
-                return seconds, prepared, kept
+        try:
+            prepared, kept = build_problem(setup, trials, [], window=seconds, scales=scales)
+        except TwinError:
+            seconds /= 2.0
+            continue
+        residual = residuals_everywhere(prepared.problem, hypothesis)
+        if model_follows_recordings(prepared.problem, residual):
+            return FollowedWindows(seconds, prepared, kept, residual)
         seconds /= 2.0
     return None
 
@@ -72,12 +89,10 @@ def errors_over_longest_windows(tested: SearchResult, setup: ModelSetup) -> Long
         tested: the findings on the test recordings.
         setup: the model with its simulation settings.
     """
-    setup = replace(setup, cold_fractions=tested.prepared.cold_fractions)
     findings = tested.explanation.hypothesis
-    followed = followed_windows(findings, tested.prepared.problem, setup, tested.trials)
+    followed = followed_windows(findings, tested.prepared, setup, tested.trials)
     if followed is None:
         return None
-    seconds, prepared, _ = followed
-    prepared = prepared.with_lower_floor(findings) or prepared
-    before, after = (residuals_everywhere(prepared.problem, h) for h in (EMPTY, findings))
-    return LongWindows(seconds, joint_errors(prepared, before, after))
+    prepared = followed.prepared.with_lower_floor(findings) or followed.prepared
+    before = residuals_everywhere(prepared.problem, EMPTY)
+    return LongWindows(followed.seconds, joint_errors(prepared, before, followed.residual))

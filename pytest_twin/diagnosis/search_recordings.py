@@ -33,7 +33,7 @@ from pytest_twin.diagnosis.search.posterior import (
     best_named,
     posterior,
 )
-from pytest_twin.diagnosis.search.report_rules import rejections
+from pytest_twin.diagnosis.search.report_rules import Rejections, rejections
 from pytest_twin.diagnosis.search.search import Search, SearchOutcome
 from pytest_twin.diagnosis.search.settings import SETTINGS
 from pytest_twin.diagnosis.search.simplification import as_settings
@@ -211,17 +211,17 @@ def _in_longer_windows(found: SearchOutcome, run: Run) -> SearchOutcome:
     """
     physics, best = found.physics, found.incumbent.hypothesis
     assert isinstance(physics, SimulatedPhysics)
-    setup = replace(physics.setup, cold_fractions=physics.prepared.cold_fractions)
-    followed = followed_windows(best, physics.prepared.problem, setup, physics.trials)
-    if followed is None or not found.is_complete:
+    if not found.is_complete:
         return found
-    seconds, prepared, trials = followed
-    joints = len(prepared.problem.joints)
-    left = residuals_everywhere(prepared.problem, best)[:, :joints]
-    if (in_noise_floors(left, prepared.problem.floor) <= VERDICT.at_floor).all():
+    followed = followed_windows(best, physics.prepared, physics.setup, physics.trials)
+    if followed is None:
         return found
-    longer = SimulatedPhysics(physics.setup, prepared, trials)
-    return _search(longer, run, f"windows of {seconds:.2g} s", [best])
+    floor = followed.prepared.problem.floor
+    left = followed.residual[:, : len(floor)]
+    if (in_noise_floors(left, floor) <= VERDICT.at_floor).all():
+        return found
+    longer = SimulatedPhysics(physics.setup, followed.prepared, followed.trials)
+    return _search(longer, run, f"windows of {followed.seconds:.2g} s", [best])
 
 
 def _with_last_effects(found: SearchOutcome, run: Run) -> SearchOutcome:
@@ -308,7 +308,7 @@ def _search(
 
     Args:
         starts: earlier answers.
-        tentative: earlier answers from one recording.
+        tentative: earlier answers from one recording, and gains by the equation error.
         kept_share: share of the time limit that is kept for later searches.
     """
 
@@ -375,15 +375,10 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
         }
         uncertainty = combine(here, fitted, parameter_uncertainty(here, fitted)).uncertainty
         rejected = rejections(model, found.nominal, without, uncertainty, physics)
-        if rejected.wrong or not rejected.absent:
-            gone, simpler = rejected.wrong, None
-        else:
-            gone, simpler = _absent(physics, found, rejected.absent, is_late=is_late)
+        gone, model = _without_names(physics, found, rejected, is_late=is_late)
         if not gone:
             break
         notes += [f"rejected: {label(problem, t)}: {why}" for t, why in gone.items()]
-        rest = model.hypothesis.without(*gone)
-        model = simpler or _refit(physics, found, rest, is_late=is_late)
     shares = posterior(found, physics.is_possible)
     named = NamedModel(
         fitted, [f.hypothesis for f in refitted], shares, notes,
@@ -392,21 +387,19 @@ def _conclude(physics: SimulatedPhysics, found: SearchOutcome, *, is_late: bool)
     return build_result(physics.prepared, physics.trials, named, found.comparison.candidates)
 
 
-def _absent(
-    physics: SimulatedPhysics, found: SearchOutcome, absent: Mapping[Term, str], *, is_late: bool
-) -> tuple[Mapping[Term, str], Model | None]:
-    """The most effects whose absence the intervals allow and the score does not contradict.
+def _without_names(
+    physics: SimulatedPhysics, found: SearchOutcome, rejected: Rejections, *, is_late: bool
+) -> tuple[Mapping[Term, str], Model]:
+    """Effects that the model loses, with their reasons, and the model without them.
 
-    An interval is that of the motion linearized at the fit, and a fit that a limit ended has not
-    converged. Where a refit without effects is worse, these remain, without a name.
-
-    Args:
-        absent: effects whose intervals contain their absence, the least needed first.
-
-    Returns:
-        These effects with their reasons, and the model without them.
+    These are the wrong ones; without any, as many of those that may be absent as the score does not
+    contradict. An interval is that of the motion linearized at the fit, and a fit that a limit
+    ended has not converged. Where a refit without effects is worse, these remain, without a name.
     """
-    model = found.incumbent
+    model, absent = found.incumbent, rejected.absent
+    if rejected.wrong:
+        rest = model.hypothesis.without(*rejected.wrong)
+        return rejected.wrong, _refit(physics, found, rest, is_late=is_late)
     # After the limit there is time for one refit.
     fewest = len(absent) - 1 if is_late else 0
     for count in range(len(absent), fewest, -1):
@@ -414,7 +407,7 @@ def _absent(
         simpler = _refit(physics, found, model.hypothesis.without(*gone), is_late=is_late)
         if simpler.score > model.score - SETTINGS.earns:
             return gone, simpler
-    return {}, None
+    return {}, model
 
 
 def _with_special_cases(

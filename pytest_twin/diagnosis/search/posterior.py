@@ -9,7 +9,7 @@ them: exchanges of independent causes share nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -96,7 +96,7 @@ class NamedModel:
     reduced_models: Sequence[Hypothesis]
     posterior: Posterior
     notes: Sequence[str] = ()
-    unresolved: Mapping[Term, str] = field(default_factory=dict)
+    unresolved: dict[Term, str] = field(default_factory=dict)
 
 
 def posterior(

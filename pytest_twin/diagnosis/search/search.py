@@ -129,9 +129,9 @@ class Search:
         Args:
             starts: models of :meth:`simulated` that are compared first. The best one is the result
                 where a limit ends the search before its fit.
-            tentative: such models of a part of the recordings. Their effects may only imitate the
-                right ones and lead away from these, so they are compared with the neighbours of
-                the nominal model, unless they leave noise alone.
+            tentative: such models of a part of the recordings, or of one kind of effects. These may
+                only imitate the right ones and lead away from these, so they are compared with the
+                neighbours of the nominal model, unless they leave noise alone.
             rounds: largest number of rounds; that of the settings by default.
         """
         incumbent, scores, is_complete = self.nominal, [self.nominal.score], False
@@ -511,12 +511,14 @@ class Search:
         """
         if not self._exceeds(incumbent, VERDICT.at_floor):
             return []
-        own = incumbent.hypothesis.terms
         started = [
             *self._from_starts(view, models, incumbent),
             *(
                 m for m in models
-                if any(t not in own and not t.law.nearly_linear for t in m.hypothesis.terms)
+                if any(
+                    t not in incumbent.hypothesis.terms and not t.law.nearly_linear
+                    for t in m.hypothesis.terms
+                )
             ),
         ]  # fmt: skip
         ranked = sorted((m for m in started if m.is_finite), key=lambda m: -m.score)
