@@ -230,9 +230,10 @@ class TorqueConstant(Effect):
     law = "delivered = (1 + relative_error) drive"
     source = "Nm per A; Siciliano et al., Robotics (2009), sec. 5.2"
     parameters = (
+        # Motor constants differ by 10 % from part to part, and hot magnets lose 10 to 20 %.
         Parameter(
             "relative_error", "one", 0.0, -0.8, 1.5, (0.1,), meaning="torque constant",
-            relation="relative",
+            relation="relative", usual=0.15,
         ),
     )  # fmt: skip
     confused_with: ClassVar = {

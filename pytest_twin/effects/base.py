@@ -145,6 +145,8 @@ class Parameter:
             two values: half the difference between them.
         sums_with: parameter of the law to which it is added; the upper bound of that one, in SI
             units, holds for the sum.
+        usual: standard deviation of the values that parts of this kind have, in multiples of
+            ``reference``, around ``neutral``; None where any value within the bounds is as likely.
     """
 
     name: str
@@ -165,6 +167,7 @@ class Parameter:
     part_of: Literal["", "damping"] = ""
     difference_of: str = ""
     sums_with: str = ""
+    usual: float | None = None
 
     @property
     def absent_value(self) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pytest_twin.diagnosis.first_order.beam_search import candidates
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.search.simplification import mean_start, values_of
-from pytest_twin.diagnosis.servo_priors import surprise
+from pytest_twin.diagnosis.servo_priors import MOST_SURPRISE, surprise
 from pytest_twin.estimation.comparison import Size
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 
@@ -41,7 +41,7 @@ def set_size(
 ) -> Size:
     """Number of effects and parameters of a set, where common effects count once.
 
-    With what the priors of the servos say of its parameters.
+    With what the priors of the servos and the usual sizes say of its parameters.
 
     Args:
         idle: parameters of a term that change nothing.
@@ -55,8 +55,23 @@ def set_size(
     return Size(
         len(hypothesis.terms) - len(repeated),
         hypothesis.free_count - repeated_parameters - without_influence,
-        surprise(problem, hypothesis),
+        surprise(problem, hypothesis) + _unusual_sizes(hypothesis),
     )
+
+
+def _unusual_sizes(hypothesis: Hypothesis) -> float:
+    """Minus the log-density of values of which the usual size is known, relative to the neutral.
+
+    It is at most ``MOST_SURPRISE`` for each: a part may be another one than the model says.
+    """
+    out = 0.0
+    for term in hypothesis.terms:
+        values = hypothesis.theta[hypothesis.slice_of(term)]
+        for parameter, value in zip(term.parameters, values.tolist(), strict=True):
+            if parameter.usual is not None:
+                deviation = (value - parameter.absent_value) / parameter.usual
+                out += min(0.5 * deviation**2, MOST_SURPRISE)
+    return out
 
 
 def replace_robot_effects(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:

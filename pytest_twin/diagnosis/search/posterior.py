@@ -1,10 +1,11 @@
 """Confidence of effects from the pool of all models of a search.
 
-A law of another set that contains effects of the incumbent is collapsed to them, and equal sets are
-merged. Each other set is an exchange: effects that it lacks, and effects that it has instead. The
-odds of an exchange are the exponential of its evidence. The confidence of an effect is one over one
-plus the odds of all exchanges that remove it. An exchange that consists of two others counts with
-them: exchanges of independent causes share nothing.
+A law of a richer set that contains effects of the incumbent is collapsed to them, and equal sets
+are merged; a law that needs no more parameters is another cause. Each other set is an exchange:
+effects that it lacks, and effects that it has instead. The odds of an exchange are the exponential
+of its evidence. The confidence of an effect is one over one plus the odds of all exchanges that
+remove it. An exchange that consists of two others counts with them: exchanges of independent causes
+share nothing.
 """
 
 from __future__ import annotations
@@ -206,7 +207,9 @@ def distinct(
     own = frozenset(incumbent.hypothesis.terms)
     best = dict[tuple[Terms, Terms], Exchange]()
     for rival in rivals:
-        terms = _collapsed(frozenset(rival.hypothesis.terms), own)
+        terms = frozenset(rival.hypothesis.terms)
+        if rival.size.is_richer_than(incumbent.size):
+            terms = _collapsed(terms, own)
         key = own - terms, terms - own
         value = log_odds(rival)
         if (key[0] or key[1]) and (key not in best or value > best[key].log_odds):
