@@ -1,6 +1,6 @@
 """Draw blind cases from recordings of real machines with hidden effects. One seed, one case.
 
-    python benchmarks/concealed/real_cases.py --out DIR --truth DIR --seeds 81000:81072
+    python benchmarks/concealed/real_cases.py --out DIR --truth DIR --seeds 81000:81072 [--before]
 
 Writes for each seed ``DIR/<case>/model.xml`` (where needed ``effects.json``, ``twin.yaml``) and
 ``recordings/*.mcap``, and the truth elsewhere. The recordings are found by ``TWIN_RECORDINGS``.
@@ -66,6 +66,8 @@ STEP = {"emps": 0.001, "xl330": 0.001, "so101": 0.002}
 """Time step of the models, s."""
 BLOCK = sum(COUNTS.values())
 ORDER = np.random.default_rng(20_261_128).permutation(BLOCK)
+EARLIER = 5
+"""Largest number of segments of an earlier session."""
 VISIBLE, TRIES = 1.0, 6
 """Smallest visibility, and largest number of draws to reach it."""
 APART = (
@@ -100,8 +102,13 @@ def plan(seed: int) -> tuple[str, str, int]:
     raise AssertionError("a place of the block belongs to no machine")
 
 
-def excerpts(machine: Machine, rng: np.random.Generator) -> list[tuple[str, Recorded]]:
-    """Return file names and segments of recordings with roles: three to fit, one held out."""
+def excerpts(
+    machine: Machine, rng: np.random.Generator
+) -> tuple[list[tuple[str, Recorded]], list[tuple[str, float]]]:
+    """Return file names and segments of recordings with roles: three to fit, one held out.
+
+    With the recording and start, s, of each.
+    """
     fit = rng.permutation(len(machine.fit))[:3]
     chosen = [(machine.fit[i], "fit") for i in sorted(fit)]
     held = rng.permutation(len(machine.held_out))[:1]
@@ -111,14 +118,35 @@ def excerpts(machine: Machine, rng: np.random.Generator) -> list[tuple[str, Reco
     for number, ((name, first, last), role) in enumerate(chosen):
         start = _apart(name, first, last, machine.seconds, taken, rng)
         taken.append((name, start))
-        read = read_recording(RECORDINGS / machine.folder / "recordings" / f"{name}.mcap")
-        kept = {k: v for k, v in read.metadata.items() if k in ("controller", "temperature")}
-        whole = Recorded(read.series["state"], read.series["command"], {**kept, "role": role})
-        stretch = of_joints(cut(whole, start, machine.seconds), machine.joints)
-        # SO-101's effort is an unsigned current, which a model cannot predict.
-        without = replace(stretch, state=replace(stretch.state, effort=None))
-        out.append((f"{number}_{name}.mcap", without))
+        out.append((f"{number}_{name}.mcap", _segment(machine, name, start, role)))
+    return out, taken
+
+
+def earlier_excerpts(
+    machine: Machine, taken: Sequence[tuple[str, float]], rng: np.random.Generator
+) -> list[tuple[str, Recorded]]:
+    """Return file names and segments that share nothing with each other or those of the case."""
+    out, used = [], list(taken)
+    stretches = dict.fromkeys((*machine.fit, *machine.held_out))
+    for name, first, last in [*stretches] * EARLIER:
+        for start in np.round(rng.uniform(first, last, 40), 2):
+            if len(out) < EARLIER and all(
+                name != n or abs(start - s) >= machine.seconds for n, s in used
+            ):
+                used.append((name, float(start)))
+                segment = _segment(machine, name, float(start), "fit")
+                out.append((f"{len(out)}_{name}.mcap", segment))
+                break
     return out
+
+
+def _segment(machine: Machine, name: str, start: float, role: str) -> Recorded:
+    read = read_recording(RECORDINGS / machine.folder / "recordings" / f"{name}.mcap")
+    kept = {k: v for k, v in read.metadata.items() if k in ("controller", "temperature")}
+    whole = Recorded(read.series["state"], read.series["command"], {**kept, "role": role})
+    stretch = of_joints(cut(whole, start, machine.seconds), machine.joints)
+    # SO-101's effort is an unsigned current, which a model cannot predict.
+    return replace(stretch, state=replace(stretch.state, effort=None))
 
 
 def _apart(
@@ -191,13 +219,17 @@ def write_model(machine: Machine, folder: Path) -> None:
             (folder / file).write_text(text)
 
 
-def make(seed: int, out: Path, truth: Path) -> str:
-    """Write one case; returns its name."""
+def make(seed: int, out: Path, truth: Path, *, has_before: bool = False) -> str:
+    """Write one case; returns its name.
+
+    Args:
+        has_before: whether unaltered segments of the machine are in the folder ``before``.
+    """
     rng = np.random.default_rng([20_261_128, seed])
     name = f"real{seed}"
     machine_name, kind, number = plan(seed)
     machine = MACHINES[machine_name]
-    files = excerpts(machine, rng)
+    files, taken = excerpts(machine, rng)
     effects: list[Concealed] = []
     words = ""
     change: Change = lambda r: r  # noqa: E731
@@ -216,6 +248,14 @@ def make(seed: int, out: Path, truth: Path) -> str:
         write_recording(
             folder / "recordings" / file, [written.state, written.command], written.metadata
         )
+    if has_before:
+        earlier = folder / "before" / "recordings"
+        earlier.mkdir(parents=True, exist_ok=True)
+        for file, recorded in earlier_excerpts(
+            machine, taken, np.random.default_rng([20_261_128, seed, 1])
+        ):
+            written = echoed_effort(recorded) if echoes else recorded
+            write_recording(earlier / file, [written.state, written.command], written.metadata)
     model = machine
     for effect in effects:
         model = effect.falsify(model) if effect.falsify else model
@@ -251,13 +291,17 @@ def main() -> None:
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--seeds", default=f"0:{BLOCK}", help="first:last, last not included")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--before", action="store_true", help="with an earlier unaltered session")
     args = parser.parse_args()
     if not RECORDINGS.is_dir():
         parser.error(f"no recordings at {RECORDINGS}: set TWIN_RECORDINGS to their folder")
     first, _, last = args.seeds.partition(":")
     seeds = range(int(first), int(last) if last else int(first) + 1)
     with ProcessPoolExecutor(args.jobs) as pool:
-        for job in [pool.submit(make, seed, args.out, args.truth) for seed in seeds]:
+        jobs = [
+            pool.submit(make, seed, args.out, args.truth, has_before=args.before) for seed in seeds
+        ]
+        for job in jobs:
             print(job.result(), flush=True)
 
 
