@@ -75,9 +75,10 @@ class EncoderScale(Effect):
     law = "measured = (1 + scale_error) q"
     source = "Mooring, Roth, Driels, Fundamentals of Manipulator Calibration (1991), ch. 2"
     parameters = (
+        # Belts and friction wheels are off by some percent; a wrong ratio or sign is rare.
         Parameter(
             "scale_error", "one", 0.0, -2.2, 0.5, (0.03,), meaning="encoder scale",
-            relation="relative",
+            relation="relative", usual=0.05,
         ),
     )  # fmt: skip
     confused_with: ClassVar = {

@@ -33,6 +33,7 @@ from pytest_twin.diagnosis.search.common_effects import (
 from pytest_twin.diagnosis.search.linearized_view import View, linearize_around, simulate_around
 from pytest_twin.diagnosis.search.proposed_starts import starts_at
 from pytest_twin.diagnosis.search.simplification import (
+    as_settings,
     equal_sized_forms,
     merge_joints,
     merge_terms,
@@ -359,6 +360,7 @@ class SimulatedPhysics:
         return [
             *merge_terms(problem, hypothesis),
             *merge_joints(problem, hypothesis),
+            *as_settings(problem, hypothesis),
             *self.special_cases(hypothesis),
             *split_terms(problem, hypothesis),
             *simpler_forms(problem, hypothesis),
