@@ -443,8 +443,8 @@ def _with_settings(
         setting = _refit(physics, found, restated, is_late=is_late)
         change = np.sqrt(np.mean((setting.residual - model.residual) ** 2, axis=0))
         alike = bool((change <= SAME_PREDICTION * physics.floor).all())
-        is_as_good = alike or setting.score > model.score
-        if is_as_good and not setting.size.is_richer_than(model.size):
+        is_better = setting.score > model.score and not setting.size.is_richer_than(model.size)
+        if alike or is_better:
             found.pool.add(model)
             return _with_settings(physics, replace(found, incumbent=setting), is_late=is_late)
     return found

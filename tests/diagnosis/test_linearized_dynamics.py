@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
+from simulated_robots import PENDULUM
 
 from pytest_twin.diagnosis.first_order import linearized_dynamics
+from pytest_twin.diagnosis.first_order.bins import bins
 from pytest_twin.diagnosis.first_order.linearized_dynamics import LinearizedDynamics
+from pytest_twin.diagnosis.first_order.sensitivities import linearize
+from pytest_twin.diagnosis.problem import Problem, joint_scales, replay_nominal
+from pytest_twin.effects.batch_simulator import BatchSimulator
+from pytest_twin.effects.segment import Segment
+from pytest_twin.estimation.hypothesis import EMPTY, Term
 
 SEGMENTS, SAMPLES, JOINTS, COLUMNS = 3, 40, 2, 5
 RNG = np.random.default_rng(7)
@@ -54,3 +64,43 @@ def test_a_force_at_one_joint_equals_a_force_vector_that_is_zero_at_the_other_jo
     full = dynamics.trajectory(everywhere, initial)
     assert single.shape[1] == SAMPLES
     assert single == pytest.approx(full, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("friction", "moves"), [(0.0, True), (0.1, True), (3.0, False)],
+    ids=["without friction", "friction below the load", "friction above the load"],
+)  # fmt: skip
+def test_a_slow_joint_is_held_only_by_friction_that_is_above_its_load(
+    friction: float, moves: bool
+) -> None:
+    """A velocity servo is told to stand still for 3 s; its load makes it creep, or friction holds.
+
+    The creep is 1 % of the typical velocity. A spring changes it.
+    """
+    drive = '<velocity joint="a" kv="200"/>'
+    xml = PENDULUM.format(drive=drive).replace('frictionloss=".1"', f'frictionloss="{friction}"')
+    time = 0.01 * np.arange(400, dtype=np.float64)
+    command = np.where(time < 1.0, np.sin(np.pi * np.minimum(time, 1.0)), 0.0)[:, None]
+    segment = Segment(
+        trial=0, model=mujoco.MjModel.from_xml_string(xml), mode="velocity", start=0.0, time=time,
+        position=np.zeros((len(time), 1)), velocity=None, effort=None,
+        command_time=time, command=command, initial_position=np.zeros(1),
+        initial_velocity=np.zeros(1),
+    )  # fmt: skip
+    simulator = BatchSimulator([segment], ("a",), threads=1)
+    segment = replace(segment, position=replay_nominal(simulator)[0].position)
+    simulator = BatchSimulator([segment], ("a",), threads=1)
+    scales = joint_scales(simulator, replay_nominal(simulator))
+    problem = Problem(simulator, np.array([0]), np.zeros(0, np.int64), np.full(1, 1e-5), scales)
+    problem = problem.at(EMPTY)
+    spring = Term("joint_spring", 0)
+    stiffness = 0.5 / scales.value(spring.parameters[0], 0)
+    sprung = EMPTY.with_term(spring, np.array([stiffness, 0.0]))
+    linear = linearize(problem, problem.fit, EMPTY)
+    assert linear is not None
+    first_order = linear.differences([sprung])[0][:, 0]
+    without, with_it = problem.residuals([EMPTY, sprung], problem.fit)
+    simulated = bins(problem, problem.fit).mean(without - with_it)[:, 0]
+    after = np.linspace(0.0, 4.0, len(simulated)) > 1.5
+    assert (np.ptp(simulated[after]) > 1e-3) == moves
+    assert np.abs(first_order - simulated).max() < 0.1 * np.abs(simulated).max()

@@ -2,7 +2,8 @@
 
 ``M dq'' + D dq' + K dq = force``. M is the mass matrix. D and K contain the derivatives of the bias
 forces and the gains of the drives; all vary with time. The gains are zero while a drive is at its
-limit. A joint at rest is held by friction. The equation is integrated by the trapezoidal rule.
+limit. A joint at rest is held by friction that is below its level. The equation is integrated by
+the trapezoidal rule.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from pytest_twin.effects.batch_simulator import BatchSimulator
 
 # Damping of a joint at rest, in multiples of its inertia per interval.
 _REST_DAMPING = 1e4
+_HOLDS = 0.95
+"""Share of its level below which dry friction holds a slow joint; at its level the joint creeps."""
 _IN_CACHE = 50_000
 """Number of elements that are propagated together, so that they fit into a core's cache."""
 
@@ -164,7 +167,8 @@ def linearize_dynamics(
     k_all = slope_q + eye * (stiffness + passive)[..., None]
     d_joint = np.maximum(friction, 0.0) + damping + measured.passive_damping[0] + more_damping
     diagonal = np.einsum("stjj->stj", mass)
-    d_joint = d_joint + _REST_DAMPING * trajectory.at_rest * diagonal / h
+    is_held = trajectory.at_rest & (np.abs(predicted.dry[0]) < _HOLDS * predicted.level[0])
+    d_joint = d_joint + _REST_DAMPING * is_held * diagonal / h
     d_all = slope_v + eye * d_joint[..., None]
     inverse = np.linalg.inv(mass)
     a = np.zeros((*mass.shape[:2], 2 * n, 2 * n))

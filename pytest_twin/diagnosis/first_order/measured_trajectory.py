@@ -35,7 +35,7 @@ class MeasuredTrajectory:
         predicted_position, predicted_velocity: (segments, samples, joints) of the hypothesis.
         reading: for each segment, (stamps, joints) predicted encoder readings, rad or m.
         effort: for each segment, (stamps, joints) predicted effort readings, N*m or N.
-        at_rest: (segments, samples, joints) whether the joint rests in both motions.
+        at_rest: (segments, samples, joints) whether the joint hardly moves in both motions.
         slip_velocity: (joints,) velocity over which dry friction changes its sign, rad/s or m/s.
     """
 
