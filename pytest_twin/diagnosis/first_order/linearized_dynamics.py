@@ -2,8 +2,8 @@
 
 ``M dq'' + D dq' + K dq = force``. M is the mass matrix. D and K contain the derivatives of the bias
 forces and the gains of the drives; all vary with time. The gains are zero while a drive is at its
-limit. A joint at rest is held by friction that is below its level. The equation is integrated by
-the trapezoidal rule.
+limit. A joint at rest is held by friction. A joint that creeps with friction at its level is not.
+The equation is integrated by the trapezoidal rule.
 """
 
 from __future__ import annotations
@@ -167,7 +167,11 @@ def linearize_dynamics(
     k_all = slope_q + eye * (stiffness + passive)[..., None]
     d_joint = np.maximum(friction, 0.0) + damping + measured.passive_damping[0] + more_damping
     diagonal = np.einsum("stjj->stj", mass)
-    is_held = trajectory.at_rest & (np.abs(predicted.dry[0]) < _HOLDS * predicted.level[0])
+    is_held = trajectory.at_rest & (
+        (np.abs(predicted.dry[0]) < _HOLDS * predicted.level[0])
+        | (np.abs(trajectory.predicted_velocity) < trajectory.slip_velocity)
+        & (predicted.level[0] > 0.0)
+    )
     d_joint = d_joint + _REST_DAMPING * is_held * diagonal / h
     d_all = slope_v + eye * d_joint[..., None]
     inverse = np.linalg.inv(mass)
