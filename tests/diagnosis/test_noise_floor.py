@@ -254,9 +254,9 @@ def test_an_effect_below_a_floor_that_was_too_high_is_found_after_the_floor_is_l
 ) -> None:
     """With viscous friction in the model the floor is lowered, and the delay exceeds it.
 
-    The delay is 5 ms, because a lag explains these recordings as well as a delay of 3 ms.
+    The delay is 12 ms, because a lag explains these recordings as well as a delay of 8 ms.
     """
-    model, *files = map(Path, case(tmp_path / "case", ("left",), viscous=0.3, delay=0.005))
+    model, *files = map(Path, case(tmp_path / "case", ("left",), viscous=0.3, delay=0.012))
     loaded = load_model(model)
     trials = read_trials(files, [], loaded.topics, loaded.realization.structure)
     found = prepare(loaded.realization, trials.fit, trials.held_out, threads=1)
