@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 from searched import nominal_view
@@ -14,12 +17,17 @@ from pytest_twin.diagnosis.first_order.beam_search import (
     NormalEquations,
     ResidualView,
 )
-from pytest_twin.diagnosis.first_order.linearized_fit import fit_linearized
+from pytest_twin.diagnosis.first_order.linearized_fit import (
+    fit_linearized,
+    linearized_slopes,
+)
 from pytest_twin.diagnosis.first_order.sensitivities import Sensitivity
 from pytest_twin.diagnosis.problem import Problem
+from pytest_twin.effects import batch_division
 from pytest_twin.estimation import least_squares as fit_module
-from pytest_twin.estimation.hypothesis import EMPTY, Term
+from pytest_twin.estimation.hypothesis import EMPTY, Hypothesis, Term
 from pytest_twin.estimation.least_squares import distant_steps, fit
+from pytest_twin.realization import executor, forks
 
 FORCE = Term("external_force", SHOULDER)
 TRUE = {"effort": 1.0, "start": 2.0, "duration": 0.6}
@@ -65,6 +73,40 @@ def test_the_linearized_fit_finds_the_start_time_of_an_external_force(problem: P
     start = EMPTY.with_term(FORCE, parameters_with_late_start(problem, GRID))
     (found,) = fit_linearized(linearized.linear, linearized.residual, [start], 6)
     assert start_time(problem, found.hypothesis.theta) == pytest.approx(TRUE["start"], abs=NEAR)
+
+
+def test_slopes_of_several_cores_equal_those_of_one_and_few_rows_start_no_process(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    linear = nominal_view(problem).linear
+    assert linear is not None
+    friction = single_effect(problem, Term("viscous_friction", SHOULDER), {"coefficient": 0.1})
+    memory = single_effect(
+        problem, Term("actuator_lag", SHOULDER), {"time_constant": 0.01, "of_setpoint": 0.0}
+    )
+    each = [friction, single_effect(problem, FORCE, TRUE), memory]
+    processes: list[int] = []
+
+    def slopes(hypotheses: list[Hypothesis], threads: int) -> list[FloatArray]:
+        processes.clear()
+        monkeypatch.setattr(linear.simulator, "threads", threads)
+        return linearized_slopes(linear, hypotheses)
+
+    def in_forks(tasks: Sequence[Callable[[], Any]], count: int) -> list[Any]:
+        processes.append(count)
+        return forks.in_forks(tasks, count)
+
+    monkeypatch.setattr(executor, "in_forks", in_forks)
+    alone = slopes(each, 1)
+    assert set(processes) == {1}
+    for one, other in zip(alone, slopes(each, 4), strict=True):
+        np.testing.assert_array_equal(one, other)
+    slopes([friction], 4)
+    assert set(processes) == {1}
+    monkeypatch.setattr(batch_division, "_FORK_SECONDS", 0.0)
+    for one, other in zip(alone, slopes(each, 4), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert 4 in processes
 
 
 def test_distant_steps_of_times_stay_within_their_bounds() -> None:

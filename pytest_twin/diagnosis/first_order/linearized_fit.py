@@ -15,6 +15,7 @@ import numpy as np
 from pytest_twin.arrays import FloatArray
 from pytest_twin.diagnosis.first_order.beam_search import ResidualView
 from pytest_twin.diagnosis.first_order.sensitivities import Linearization
+from pytest_twin.effects.batch_division import Part, divide_rows, is_worth_forking
 from pytest_twin.estimation.deadline import check_deadline
 from pytest_twin.estimation.hypothesis import Hypothesis, Term
 from pytest_twin.estimation.least_squares import finite_differences, propose_steps, weighted_cost
@@ -25,10 +26,9 @@ from pytest_twin.realization.forks import free_cores
 _DAMPINGS = (1e-4, 1e-2, 1.0)
 # A fit stops when a step reduces the cost by less than this share.
 _CONVERGED = 3e-3
-_MIN_ROWS, _MAX_ROWS, _MAX_STEPWISE_ROWS = 4, 48, 384
-"""Smallest and largest number of rows in a batch, and largest number if the laws are evaluated step
-by step. A process costs more than few rows. More rows need memory, and save time only where each
-step has a fixed cost."""
+_MAX_ROWS = 48
+"""Largest number of rows that are evaluated together if no law is evaluated step by step. More rows
+need memory, and save time only where each step has a fixed cost."""
 
 
 @dataclass(slots=True)
@@ -178,29 +178,34 @@ def _differences(linear: Linearization, hypotheses: Sequence[Hypothesis]) -> lis
         OutOfTime: the time of the search is over.
     """
     check_deadline()
-    groups: dict[tuple[bool, bool], list[int]] = {}
+    laws = sorted({t.effect for h in hypotheses for t in h.terms if t.law.remembers})
+    has_law = np.zeros((len(hypotheses), len(laws)), dtype=bool)
     for i, h in enumerate(hypotheses):
-        effects = [t.law for t in h.terms]
-        key = (
-            any(e.remembers for e in effects),
-            any(e.overrides("gear") for e in effects),
-        )
-        groups.setdefault(key, []).append(i)
+        effects = {t.effect for t in h.terms}
+        has_law[i] = [law in effects for law in laws]
+    segments, samples, joints = linear.trajectory.position.shape
+    # Elastic transmissions need the model's time step.
+    steps = [
+        samples * (linear.trajectory.steps if any(t.law.overrides("gear") for t in h.terms) else 1)
+        for h in hypotheses
+    ]
     cores = free_cores(linear.simulator.threads)
-    batches = []
-    # Hypotheses that need the model's time step take longest and come first.
-    for key in sorted(groups, key=lambda k: (k[1], k[0]), reverse=True):
-        # Every law of a batch is evaluated for all its hypotheses: those with equal laws share one.
-        which = sorted(groups[key], key=lambda i: sorted(t.effect for t in hypotheses[i].terms))
-        most = _MAX_STEPWISE_ROWS if key[0] else _MAX_ROWS
-        each = min(most, max(-(-len(which) // cores), _MIN_ROWS))
-        batches += [which[i : i + each] for i in range(0, len(which), each)]
+    parts = divide_rows(np.array(steps), has_law, segments * joints, cores)
+
+    def differences(part: Part) -> list[FloatArray]:
+        most = _MAX_ROWS if not has_law[part.rows].any() else len(part.rows)
+        some = [hypotheses[i] for i in part.rows]
+        return [
+            difference
+            for first in range(0, len(some), most)
+            for difference in linear.differences(some[first : first + most])
+        ]
+
+    if not is_worth_forking(parts):
+        cores = 1
     if cores > 1:
         linear.precompute_rigid_efforts(hypotheses)
-    differences = Forks(cores).map(
-        linear.differences, [[hypotheses[i] for i in some] for some in batches]
-    )
     out: dict[int, FloatArray] = {}
-    for some, found in zip(batches, differences, strict=True):
-        out.update(zip(some, found, strict=True))
+    for part, found in zip(parts, Forks(cores).map(differences, parts), strict=True):
+        out.update(zip(part.rows.tolist(), found, strict=True))
     return [out[i] for i in range(len(hypotheses))]
