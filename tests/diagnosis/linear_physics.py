@@ -113,6 +113,7 @@ class LinearPhysics:
         own = self.change(hypothesis)
         linear: Any = SimpleNamespace(
             simulator=SimpleNamespace(threads=1),
+            trajectory=SimpleNamespace(position=np.zeros((1, 1, 1)), steps=1),
             bins=bins,
             differences=lambda hypotheses: [self.change(h) - own for h in hypotheses],
         )

@@ -172,7 +172,7 @@ def _slopes(
 
 
 def _differences(linear: Linearization, hypotheses: Sequence[Hypothesis]) -> list[FloatArray]:
-    """As :meth:`Linearization.differences`, in batches of hypotheses that need the same time step.
+    """As :meth:`Linearization.differences`, in batches of hypotheses that need as many steps.
 
     Raises:
         OutOfTime: the time of the search is over.
