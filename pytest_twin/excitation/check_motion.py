@@ -13,6 +13,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pytest_twin.estimation.deadline import OutOfTime
 from pytest_twin.estimation.hypothesis import Term
 from pytest_twin.excitation.all_pairs import PairOdds
@@ -156,7 +158,7 @@ def choose(
     Raises:
         OutOfTime: the time limit is over before a motion is judged.
     """
-    efforts = OfEfforts(robot, terms)
+    efforts = responses if isinstance(responses, OfEfforts) else OfEfforts(robot, terms)
 
     def judge(motions: Sequence[Motion]) -> list[PairOdds]:
         odds = []
@@ -172,9 +174,9 @@ def choose(
     )
     safe, refused = safe_motions(robot, judged)
     progress(0.5)
-    if not isinstance(responses, OfEfforts):
-        by_name = {one.motion.name: one.score for one in judged}
-        scores = [by_name[one.motion.name] for one in safe]
+    judged_by_name = {one.motion.name: one for one in judged}
+    if responses is not efforts:
+        scores = [judged_by_name[one.motion.name].score for one in safe]
         order = _cover(scores)
         # By positions a motion may be worth more than by efforts: without others beside it, what
         # the check reaches would be compared with itself.
@@ -185,7 +187,12 @@ def choose(
         progress(0.5 + 0.4 * at / len(safe))
         if compared and skips(one.motion.name):
             break
-        compared.append(PairOdds.of(responses.along(one.motion), DECIDED))
+        known = judged_by_name[one.motion.name]
+        # A motion that was not safe as it was judged is a slower one now.
+        if responses is efforts and np.array_equal(known.motion.position, one.motion.position):
+            compared.append(known.score)
+        else:
+            compared.append(PairOdds.of(responses.along(one.motion), DECIDED))
     motions: list[tuple[SafeMotion, PairOdds]] = []
     seconds = 0.0
     for at in _cover(compared):

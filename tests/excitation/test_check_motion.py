@@ -29,6 +29,8 @@ from pytest_twin.excitation.designs import single_joint_designs
 from pytest_twin.formats.schema import load_schema
 
 WITHOUT_SERVOS = ARM.split("<actuator>")[0] + "</mujoco>"
+SHORT: dict[str, Any] = {"duration": 3.0, "task_band": [0.5, 2.0]}
+"""Approved limits with short motions."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Checked:
 @pytest.fixture(scope="module")
 def checked(tmp_path_factory: pytest.TempPathFactory) -> Checked:
     folder = tmp_path_factory.mktemp("check")
-    twin = write_twin(folder, approved_for_arm(duration=5.0))
+    twin = write_twin(folder, approved_for_arm(**SHORT), ARM.replace("0.002", "0.004"))
     out = folder / "out"
     out.mkdir()
     return Checked(twin, out, check_file(str(twin), str(out), 1)["document"])
@@ -60,7 +62,7 @@ def test_short_motions_of_all_joints_keep_the_approved_limits(checked: Checked) 
     assert motions
     for motion in motions:
         assert motion["name"].startswith("check")
-        assert motion["duration"]["value"] <= 5.0
+        assert motion["duration"]["value"] <= SHORT["duration"]
         assert set(motion["moved"]) == {"lift", "elbow"}
         assert all(margin["share"] <= 1.0 + 1e-9 for margin in motion["margins"].values())
         assert all((checked.out / name).is_file() for name in motion["files"])
@@ -102,12 +104,15 @@ def test_every_law_is_told_apart_or_named(checked: Checked) -> None:
 
 
 def test_a_motion_of_one_joint_is_no_sufficient_check(tmp_path: Path) -> None:
-    twin = write_twin(tmp_path, approved_for_arm(duration=5.0), WITHOUT_SERVOS)
+    twin = write_twin(tmp_path, approved_for_arm(**SHORT), WITHOUT_SERVOS)
     robot = ApprovedRobot.load(twin, 1)
     terms = terms_of(robot)
     responses = responses_of(robot, terms)
     chosen = choose(robot, terms, responses)
     assert chosen.is_sufficient
+    # The odds of the search hold for a safe motion only if it is the motion that was judged.
+    for safe, odds in chosen.motions:
+        assert odds.shown == PairOdds.of(responses.along(safe.motion), odds.needed).shown
     for design in single_joint_designs(robot.approved, robot.loads, 1):
         if design.kind == "reversals" and design.moved == ("lift",):
             odds = PairOdds.of(responses.along(design.motion(1.0, 1)), 0.9)
@@ -183,7 +188,7 @@ def test_with_servos_the_check_is_compared_with_other_motions(tmp_path: Path) ->
 def test_the_command_says_what_the_check_can_and_cannot_tell(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    twin = write_twin(tmp_path, approved_for_arm(duration=5.0), WITHOUT_SERVOS)
+    twin = write_twin(tmp_path, approved_for_arm(**SHORT), WITHOUT_SERVOS)
     out = tmp_path / "out"
     assert cli.main(["excite", str(twin), "--check", "--out", str(out), "--json", "-"]) == 0
     stdout, said = capsys.readouterr()
