@@ -21,7 +21,7 @@ def write_pushed(path: Path, seed: int) -> Path:
     data = mujoco.MjData(model)
     random = np.random.default_rng(seed)
     frequency, phase = random.uniform(0.2, 1.5, 4), random.uniform(0, 2 * np.pi, 4)
-    pushes = np.repeat(random.choice([-0.4, 0.0, 0.4], 10), 25)
+    pushes = np.repeat(random.choice([-0.4, 0.0, 0.4], 6), 25)
     rows = []
     for at, push in enumerate(pushes):
         time = at * 0.02
