@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 from pytest_twin.errors import ReleaseError
 from pytest_twin.formats.digest import LINE_ENDINGS_ADVICE
-from pytest_twin.release.limits import LIMITS, ReleaseLimits
+from pytest_twin.release.limits import LIMITS
 
 
 def dump(value: object) -> bytes:
@@ -23,34 +23,33 @@ def dump(value: object) -> bytes:
     return text.encode("ascii")
 
 
-def load(data: bytes, what: str, limits: ReleaseLimits = LIMITS) -> Any:
+def load(data: bytes, what: str) -> Any:
     """Parse canonical JSON; the bytes must equal those that :func:`dump` writes for the value.
 
     Args:
         data: the bytes.
         what: name of the data, for error messages.
-        limits: limits of size and depth.
 
     Raises:
         ReleaseError: too large, nested too deeply, not JSON, a repeated key, a number that is not
             finite, or JSON that is not canonical.
     """
-    if len(data) > limits.envelope_bytes:
+    if len(data) > LIMITS.envelope_bytes:
         raise ReleaseError(
             f"{what} is too large",
             value=len(data),
             unit="bytes",
-            expected=f"at most {limits.envelope_bytes} bytes",
+            expected=f"at most {LIMITS.envelope_bytes} bytes",
         )
     try:
         value = json.loads(
             data.decode("ascii"), object_pairs_hook=_unique, parse_constant=_refuse_constant
         )
     except RecursionError:
-        raise _too_deep(what, limits) from None
+        raise _too_deep(what) from None
     except ValueError as error:
         raise ReleaseError(f"{what} is not JSON: {error}") from None
-    _check_depth(value, what, limits)
+    _check_depth(value, what)
     if dump(value) != data:
         if dump(value) == data.rstrip(b"\r\n"):
             raise ReleaseError(
@@ -78,9 +77,9 @@ def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a finite number")
 
 
-def _check_depth(value: object, what: str, limits: ReleaseLimits) -> None:
+def _check_depth(value: object, what: str) -> None:
     level: list[object] = [value]
-    for _ in range(limits.depth_levels):
+    for _ in range(LIMITS.depth_levels):
         following: list[object] = []
         for item in level:
             if isinstance(item, dict):
@@ -90,10 +89,10 @@ def _check_depth(value: object, what: str, limits: ReleaseLimits) -> None:
         if not following:
             return
         level = following
-    raise _too_deep(what, limits)
+    raise _too_deep(what)
 
 
-def _too_deep(what: str, limits: ReleaseLimits) -> ReleaseError:
+def _too_deep(what: str) -> ReleaseError:
     return ReleaseError(
-        f"{what} is nested too deeply", expected=f"at most {limits.depth_levels} levels"
+        f"{what} is nested too deeply", expected=f"at most {LIMITS.depth_levels} levels"
     )

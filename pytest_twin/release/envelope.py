@@ -17,7 +17,7 @@ from securesystemslib.signer import Key, Signer
 
 from pytest_twin.errors import ReleaseError
 from pytest_twin.release import canonical_json
-from pytest_twin.release.limits import LIMITS, ReleaseLimits
+from pytest_twin.release.limits import LIMITS
 
 PAYLOAD_TYPE = "application/vnd.in-toto+json"
 
@@ -44,14 +44,11 @@ def seal(payload: bytes, signer: Signer) -> bytes:
     return canonical_json.dump(envelope.to_dict())
 
 
-def open_envelope(
-    data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMITS
-) -> AuthenticPayload:
+def open_envelope(data: bytes, keys: Sequence[Key]) -> AuthenticPayload:
     """Verify an envelope, and return its payload.
 
     Args:
         data: bytes of the envelope.
-        limits: limits of size and number of signatures.
 
     Raises:
         ReleaseError: no keys; an envelope that is not canonical or has another type; no signature,
@@ -59,8 +56,8 @@ def open_envelope(
     """
     if not keys:
         raise ReleaseError("no trusted keys", expected="at least one public key")
-    value = canonical_json.load(data, "the envelope", limits)
-    envelope = _parse(value, limits)
+    value = canonical_json.load(data, "the envelope")
+    envelope = _parse(value)
     if canonical_json.dump(envelope.to_dict()) != data:
         raise ReleaseError("the envelope is not canonical", expected="the bytes that were signed")
     if envelope.payload_type != PAYLOAD_TYPE:
@@ -98,7 +95,7 @@ def short_key_id(key_id: str) -> str:
     return key_id[:16]
 
 
-def _parse(value: object, limits: ReleaseLimits) -> Envelope:
+def _parse(value: object) -> Envelope:
     wrong = ReleaseError(
         "not a DSSE envelope", expected="payload, payloadType and signatures of keyid and sig"
     )
@@ -112,11 +109,11 @@ def _parse(value: object, limits: ReleaseLimits) -> Envelope:
         for entry in signatures
     ):
         raise wrong
-    if not 1 <= len(signatures) <= limits.signatures_count:
+    if not 1 <= len(signatures) <= LIMITS.signatures_count:
         raise ReleaseError(
             "the envelope has no signature or too many",
             value=len(signatures),
-            expected=f"1 to {limits.signatures_count}",
+            expected=f"1 to {LIMITS.signatures_count}",
         )
     if len({entry["keyid"] for entry in signatures}) != len(signatures):
         raise ReleaseError("one key signed twice", expected="one signature for each key")

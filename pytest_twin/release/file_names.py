@@ -6,21 +6,21 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
-from pytest_twin.release.limits import LIMITS, ReleaseLimits
+from pytest_twin.release.limits import LIMITS
 
 # Device names of Windows, with any suffix.
 _DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
 _FORBIDDEN = set('<>:"|?*\\')
 
 
-def problem_with(name: str, limits: ReleaseLimits = LIMITS) -> str | None:
+def problem_with(name: str) -> str | None:
     """Problem of a relative POSIX path as a file name in a release, or None."""
     try:
         length = len(name.encode("utf-8"))
     except UnicodeEncodeError:
         return "is not Unicode text"
-    if not name or length > limits.name_bytes:
-        return f"is empty or longer than {limits.name_bytes} bytes"
+    if not name or length > LIMITS.name_bytes:
+        return f"is empty or longer than {LIMITS.name_bytes} bytes"
     if any(char in _FORBIDDEN or unicodedata.category(char)[0] == "C" for char in name):
         return "contains a character that is not portable in file names"
     if unicodedata.normalize("NFC", name) != name:

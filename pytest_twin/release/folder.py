@@ -11,7 +11,7 @@ from pathlib import Path
 from pytest_twin.errors import LimitError, PathError
 from pytest_twin.formats.digest import bytes_sha256
 from pytest_twin.formats.paths import open_regular, read_bytes
-from pytest_twin.release.limits import LIMITS, ReleaseLimits
+from pytest_twin.release.limits import LIMITS
 from pytest_twin.release.verify import ENVELOPE, FolderEntry
 
 RELEASES = "releases"
@@ -53,7 +53,7 @@ def refuse_link(folder: Path) -> None:
         raise PathError("a link", path=folder, expected="the folder itself, inside the twin")
 
 
-def read_envelope(folder: Path, limits: ReleaseLimits = LIMITS) -> bytes | None:
+def read_envelope(folder: Path) -> bytes | None:
     """Content of the envelope of a release, None if it does not exist.
 
     Raises:
@@ -63,10 +63,10 @@ def read_envelope(folder: Path, limits: ReleaseLimits = LIMITS) -> bytes | None:
     path = folder / ENVELOPE
     if not path.is_symlink() and not path.exists():
         return None
-    return read_bytes(path, limits.envelope_bytes, links=False)
+    return read_bytes(path, LIMITS.envelope_bytes, links=False)
 
 
-def listing(folder: Path, limits: ReleaseLimits = LIMITS) -> dict[str, FolderEntry]:
+def listing(folder: Path) -> dict[str, FolderEntry]:
     """All entries of a folder: relative POSIX path -> entry; links are not followed.
 
     Raises:
@@ -84,12 +84,12 @@ def listing(folder: Path, limits: ReleaseLimits = LIMITS) -> dict[str, FolderEnt
                     name = path.relative_to(folder).as_posix()
                     if entry.is_dir(follow_symlinks=False):
                         waiting.append(path)
-                    found[name] = _entry(path, limits)
-                    if len(found) > 4 * limits.files_count:
+                    found[name] = _entry(path)
+                    if len(found) > 4 * LIMITS.files_count:
                         raise LimitError(
                             "too many files for a release",
                             path=folder,
-                            expected=f"at most {limits.files_count}",
+                            expected=f"at most {LIMITS.files_count}",
                         )
         except OSError as error:
             raise PathError(f"cannot be read: {error.strerror}", path=here) from None
@@ -110,7 +110,7 @@ def digest(path: Path) -> tuple[str, int, int]:
         return hashed.hexdigest(), size, os.fstat(stream.fileno()).st_nlink
 
 
-def _entry(path: Path, limits: ReleaseLimits) -> FolderEntry:
+def _entry(path: Path) -> FolderEntry:
     facts = path.lstat()
     if stat.S_ISLNK(facts.st_mode):
         return FolderEntry("link")
@@ -118,7 +118,7 @@ def _entry(path: Path, limits: ReleaseLimits) -> FolderEntry:
         return FolderEntry("folder")
     if not stat.S_ISREG(facts.st_mode):
         return FolderEntry("other")
-    if facts.st_size > limits.file_bytes:
+    if facts.st_size > LIMITS.file_bytes:
         # Not read, because no valid statement lists a file of this size.
         return FolderEntry("file", size=facts.st_size, links=facts.st_nlink)
     sha256, size, links = digest(path)

@@ -25,7 +25,7 @@ from pytest_twin.formats.paths import read_bytes
 from pytest_twin.formats.temporary import temporary_file, temporary_folder
 from pytest_twin.release.envelope import short_key_id
 from pytest_twin.release.folder import refuse_link
-from pytest_twin.release.limits import LIMITS, ReleaseLimits
+from pytest_twin.release.limits import LIMITS
 
 FOLDER = "keys"
 VARIABLE = "TWIN_SIGNING_KEY"
@@ -33,7 +33,7 @@ _FIELD = 2**255 - 19
 """Order of the field of Curve25519 and Edwards25519."""
 
 
-def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
+def load_trusted(folder: Path) -> list[Key]:
     """Read the Ed25519 public keys ``*.pub`` (PEM) of a folder; empty if it does not exist.
 
     Raises:
@@ -47,17 +47,17 @@ def load_trusted(folder: Path, limits: ReleaseLimits = LIMITS) -> list[Key]:
         return []
     except OSError as error:
         raise PathError(f"cannot be read: {error.strerror}", path=folder) from None
-    if len(paths) > limits.keys_count:
+    if len(paths) > LIMITS.keys_count:
         raise ReleaseError(
             "too many keys",
             path=folder,
             value=len(paths),
-            expected=f"at most {limits.keys_count}",
+            expected=f"at most {LIMITS.keys_count}",
         )
     found: dict[str, Key] = {}
     for path in paths:
         try:
-            public = load_pem_public_key(read_bytes(path, limits.key_bytes, links=False))
+            public = load_pem_public_key(read_bytes(path, LIMITS.key_bytes, links=False))
         except (ValueError, UnsupportedAlgorithm):
             public = None
         if not isinstance(public, Ed25519PublicKey):

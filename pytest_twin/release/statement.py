@@ -16,7 +16,7 @@ from pytest_twin.errors import ReleaseError
 from pytest_twin.formats import typed
 from pytest_twin.outcome import Outcome
 from pytest_twin.release import canonical_json, file_names
-from pytest_twin.release.limits import LIMITS, ReleaseLimits
+from pytest_twin.release.limits import LIMITS
 
 STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE = "urn:pytest-twin:release:1"
@@ -235,21 +235,20 @@ def write(
     )
 
 
-def read(payload: bytes, key_id: str, sha256: str, limits: ReleaseLimits = LIMITS) -> Release:
+def read(payload: bytes, key_id: str, sha256: str) -> Release:
     """Read the release in a signed payload.
 
     Args:
         payload: bytes of the statement, with a verified signature.
         key_id: id of the signing key.
         sha256: digest of the envelope, hex.
-        limits: limits of sizes and counts.
 
     Raises:
         ReleaseError: not canonical JSON, not a statement of this type, or an inconsistent one.
     """
-    statement = canonical_json.load(payload, "the statement", limits)
+    statement = canonical_json.load(payload, "the statement")
     try:
-        return _release(typed.build(statement, _Statement), key_id, sha256, limits)
+        return _release(typed.build(statement, _Statement), key_id, sha256)
     except typed.FieldError as error:
         raise ReleaseError(
             "not what a release states",
@@ -328,13 +327,13 @@ class _Statement(_Table, rename={"kind": "_type", "predicate_type": "predicateTy
     predicate: _Predicate
 
 
-def _release(stated: _Statement, key_id: str, sha256: str, limits: ReleaseLimits) -> Release:
+def _release(stated: _Statement, key_id: str, sha256: str) -> Release:
     _require_equal(stated.kind, STATEMENT_TYPE, "_type")
     _require_equal(stated.predicate_type, PREDICATE_TYPE, "predicateType")
     predicate = stated.predicate
     header = _header(predicate, key_id)
     files = tuple(entry.entry() for entry in stated.subject)
-    _check_files(files, limits)
+    _check_files(files)
     parts = {ident: Part(ident, part.content) for ident, part in predicate.parts.items()}
     for ident, part in predicate.parts.items():
         _require_equal(part.digest, parts[ident].digest, f"parts.{ident}.digest")
@@ -396,13 +395,13 @@ def _header(predicate: _Predicate, key_id: str) -> Header:
     )
 
 
-def _check_files(files: Sequence[FileEntry], limits: ReleaseLimits) -> None:
-    if len(files) > limits.files_count:
+def _check_files(files: Sequence[FileEntry]) -> None:
+    if len(files) > LIMITS.files_count:
         raise ReleaseError(
-            "too many files", value=len(files), expected=f"at most {limits.files_count}"
+            "too many files", value=len(files), expected=f"at most {LIMITS.files_count}"
         )
     for entry in files:
-        problem = file_names.problem_with(entry.name, limits)
+        problem = file_names.problem_with(entry.name)
         if problem:
             raise ReleaseError(
                 f"the name of a file {problem}",

@@ -14,7 +14,7 @@ from pytest_twin.errors import ReleaseError
 from pytest_twin.formats.digest import LINE_ENDINGS_ADVICE
 from pytest_twin.release import statement
 from pytest_twin.release.envelope import open_envelope
-from pytest_twin.release.limits import LIMITS, ReleaseLimits
+from pytest_twin.release.limits import LIMITS
 from pytest_twin.release.statement import FileEntry, Release
 
 ENVELOPE = "release.dsse.json"
@@ -121,14 +121,14 @@ NOTHING_SIGNED = Verdict(
 )
 
 
-def authenticate(data: bytes, keys: Sequence[Key], limits: ReleaseLimits = LIMITS) -> Release:
+def authenticate(data: bytes, keys: Sequence[Key]) -> Release:
     """Verify the signature of an envelope, and read its release.
 
     Raises:
         ReleaseError: it is not authentic, or not a release.
     """
-    opened = open_envelope(data, keys, limits)
-    return statement.read(opened.payload, opened.key_ids[0], opened.sha256, limits)
+    opened = open_envelope(data, keys)
+    return statement.read(opened.payload, opened.key_ids[0], opened.sha256)
 
 
 def verify(
@@ -138,7 +138,6 @@ def verify(
     *,
     now: datetime,
     circumstances: Circumstances = Circumstances(),
-    limits: ReleaseLimits = LIMITS,
 ) -> Verdict:
     """Verify a release.
 
@@ -146,15 +145,14 @@ def verify(
         data: content of the envelope, None if it does not exist.
         listing: all entries of the folder, relative POSIX path -> entry.
         now: present time, with time zone.
-        limits: limits of sizes and counts.
     """
     if data is None:
         return NOTHING_SIGNED
     try:
-        release = authenticate(data, keys, limits)
+        release = authenticate(data, keys)
     except ReleaseError as error:
         return Verdict(None, (ReleaseProblem("envelope" if keys else "keys", str(error)),))
-    return judge(release, listing, now=now, circumstances=circumstances, limits=limits)
+    return judge(release, listing, now=now, circumstances=circumstances)
 
 
 def judge(
@@ -163,7 +161,6 @@ def judge(
     *,
     now: datetime,
     circumstances: Circumstances = Circumstances(),
-    limits: ReleaseLimits = LIMITS,
 ) -> Verdict:
     """Verify the files, the place and the age of an authentic release.
 
@@ -172,11 +169,11 @@ def judge(
     problems = [
         *_files(release, listing),
         *_place(release, circumstances),
-        *_time(release, now, limits),
+        *_time(release, now),
     ]
-    if len(problems) > limits.problems_count:
-        left_out = len(problems) - limits.problems_count
-        problems = problems[: limits.problems_count]
+    if len(problems) > LIMITS.problems_count:
+        left_out = len(problems) - LIMITS.problems_count
+        problems = problems[: LIMITS.problems_count]
         problems.append(ReleaseProblem("files", f"and {left_out} more"))
     return Verdict(release, tuple(problems))
 
@@ -297,10 +294,10 @@ def _place(release: Release, known: Circumstances) -> Iterator[ReleaseProblem]:
             )
 
 
-def _time(release: Release, now: datetime, limits: ReleaseLimits) -> Iterator[ReleaseProblem]:
+def _time(release: Release, now: datetime) -> Iterator[ReleaseProblem]:
     header = release.header
     if now >= statement.moment(header.expires):
         yield ReleaseProblem("expired", f"expired at {header.expires}")
-    skew = timedelta(seconds=limits.clock_skew_seconds)
+    skew = timedelta(seconds=LIMITS.clock_skew_seconds)
     if statement.moment(header.created) > now + skew:
         yield ReleaseProblem("future", f"made at {header.created}, which is in the future")
