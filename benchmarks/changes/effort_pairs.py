@@ -1,11 +1,12 @@
 """Two sessions of arms with measured effort, between which one thing changed, through the command.
 
     python benchmarks/changes/effort_pairs.py [--robots ur5,panda] [--seeds 0,1] [--earlier N]
+    python benchmarks/changes/effort_pairs.py --robots ur5,ur10,panda,z1 --unchanged 10
 
 Rigid-body dynamics by Pinocchio, with masses that the model lacks and a background that it does not
 describe: Stribeck and load-dependent friction, a ripple, offsets, friction that differs between
 recordings. Efforts are filtered and noisy, stamps jitter, every motion is another one, and there is
-one new recording.
+one new recording. With ``--unchanged N``: N other arms of each robot, on which nothing changed.
 """
 
 from __future__ import annotations
@@ -23,9 +24,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from baxter import urdf
+from injected import LEVEL, interval
 from scipy import signal
 
 from pytest_twin import cli
+from pytest_twin.changes.find_changes import find_changes
+from pytest_twin.changes.recordings import read_compared
+from pytest_twin.loaded_model import load_model
+from pytest_twin.recording_options import RecordingOptions
 
 ROBOTS = {
     "ur5": "ur_description/urdf/ur5_robot.urdf",
@@ -178,12 +184,49 @@ def words(document: Mapping[str, Any]) -> str:
     )
 
 
+def alarms_unchanged(robot: str, draws: int, earlier: int) -> int:
+    """Alarms among arms on which nothing changed, each with other recordings."""
+    alarms = 0
+    for seed in range(draws):
+        with tempfile.TemporaryDirectory() as scratch:
+            arm = Arm(urdf().parents[2] / ROBOTS[robot], np.random.default_rng([1, seed]))
+            paths = [arm.record(Path(scratch) / f"{k}.csv", Change()) for k in range(earlier + 1)]
+            loaded = load_model(arm.path)
+            options = RecordingOptions().over(loaded.options)
+            compared = read_compared(
+                loaded.realization, paths[:-1], paths[-1:], [], loaded.topics, options
+            )
+            comparison = find_changes(loaded.realization, compared, LEVEL).comparison
+        alarms += comparison.is_changed
+        names = [
+            f"{change.shape.term.effect}@{arm.joints[change.shape.term.joint]} "
+            f"{change.confidence:.2f}"
+            for change in comparison.changes
+        ]
+        print(
+            f"{robot} {seed}: score {comparison.score:.2f}, level {comparison.threshold:.2f}; "
+            f"scores before {np.round(comparison.null.scores, 1).tolist()}; "
+            f"unlike {np.flatnonzero(comparison.unlike).tolist()}; "
+            f"uncertainty {comparison.uncertainty.max():.2f} "
+            f"{'alarm' if comparison.is_changed else 'no alarm'} {names}",
+            flush=True,
+        )
+    return alarms
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robots", default="ur5,panda", help="of " + ", ".join(ROBOTS))
     parser.add_argument("--seeds", default="0,1")
     parser.add_argument("--earlier", type=int, default=5, help="earlier recordings")
+    parser.add_argument("--unchanged", type=int, metavar="N", help="N unchanged arms of each")
     args = parser.parse_args()
+    if args.unchanged:
+        robots = args.robots.split(",")
+        alarms = [alarms_unchanged(robot, args.unchanged, args.earlier) for robot in robots]
+        tests = args.unchanged * len(robots)
+        print(f"{sum(alarms)} alarms of {tests} ({interval(sum(alarms), tests)}): {alarms}")
+        return
     counts: dict[str, list[int]] = {}
     masses = inside = 0
     for robot in args.robots.split(","):

@@ -7,8 +7,8 @@ choice of new recordings, because a law that is the same in all of them is no sc
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.stats
@@ -17,7 +17,7 @@ from pytest_twin.changes.background import Contrast, Rows
 from pytest_twin.changes.comparison import SURE_OF_NAME, is_unpredicted
 from pytest_twin.changes.evidence import evidence_of
 from pytest_twin.changes.motor_types import TypeLaw
-from pytest_twin.changes.naming import best_possible
+from pytest_twin.changes.naming import Naming, best_possible
 from pytest_twin.changes.prepared import Prepared, prepare
 from pytest_twin.changes.recordings import at_one_rate
 from pytest_twin.changes.tool_load import with_tool_load
@@ -142,7 +142,11 @@ def drawn_amplitudes(
 
 @dataclass(frozen=True)
 class Outcome:
-    """Answer of one case; effect and joint are empty where nothing is named."""
+    """Answer of one case; effect and joint are empty where nothing is named.
+
+    Attributes:
+        evidence: name -> number from which a calibrator may judge the name.
+    """
 
     effect: str
     joint: int
@@ -151,6 +155,7 @@ class Outcome:
     confidence: float
     score: float
     threshold: float
+    evidence: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_right(self) -> bool:
@@ -204,7 +209,8 @@ def answer(
         for shown in prepared.contrasts(change)
     )
     evidence = evidence_of(contrast, shapes, tempering.inflation)
-    named = best_possible(naming, shapes, types, tempering, robot.rows, prepared.background).changes
+    likeliest = best_possible(naming, shapes, types, tempering, robot.rows, prepared.background)
+    named = likeliest.changes
     first = named[0]
     joint = first.shape.term.joint
     if first.motor is not None:
@@ -213,7 +219,58 @@ def answer(
         *law, first.shape.term.effect, joint,
         0.0 if is_unpredicted(named, prepared, robot.rows.size) else first.confidence,
         prepared.tempering.score(shapes, evidence), prepared.threshold(LEVEL),
+        evidence_of_name(robot, likeliest, naming, evidence, new),
     )  # fmt: skip
+
+
+def evidence_of_name(
+    robot: Robot,
+    likeliest: Naming,
+    contrast: Contrast,
+    evidence: np.ndarray,
+    new: Sequence[int],
+) -> dict[str, float]:
+    """What a calibrator may judge a name from.
+
+    ``log_odds`` of the likeliest law, ``gap`` to the next (log of the ratio), ``log_size`` of its
+    effort relative to the residual, ``collinearity`` (largest canonical correlation of the two laws
+    along the new motions, with the background marginalized) and ``new``, the number of recordings.
+    """
+    first, *rest = likeliest.candidates
+    change = likeliest.changes[0]
+    amplitudes = np.zeros(len(robot.rows.scale))
+    amplitudes[change.shape.indices] = change.value
+    effort = np.concatenate([robot.rows.effort_of(i, amplitudes) for i in new])
+    size = np.sqrt(np.mean(effort**2, axis=0)) / np.where(
+        robot.residual > 0, robot.residual, np.inf
+    )
+    second = rest[0]
+    of_second = [
+        max((k for k, shape in enumerate(robot.shapes) if shape.term == term),
+            key=lambda k: evidence[k])
+        for term in second.terms
+    ]  # fmt: skip
+    own = change.shape.indices
+    other = np.unique(np.concatenate([robot.shapes[k].indices for k in of_second]))
+    parts = [np.linalg.pinv(_root(contrast.information[np.ix_(c, c)])) for c in (own, other)]
+    cosines = parts[0] @ contrast.information[np.ix_(own, other)] @ parts[1]
+    likely, unlikely, next_likely = (
+        float(np.log(max(share, 1e-9)))
+        for share in (first.probability, 1.0 - first.probability, second.probability)
+    )
+    return {
+        "log_odds": likely - unlikely,
+        "gap": likely - next_likely,
+        "log_size": float(np.log(max(size.max(), 1e-3))),
+        "collinearity": float(min(np.linalg.norm(cosines, 2), 1.0)),
+        "new": float(len(new)),
+    }
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """Square root of a positive semidefinite matrix."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 def interval(count: int, total: int) -> str:
