@@ -175,7 +175,7 @@ def _undone(document: Mapping[str, Any]) -> list[str]:
 
 def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict as a sentence."""
-    names = "; ".join(_from_to(finding) for finding in document["findings"])
+    names = "; ".join(_likeliest_names(document["findings"]))
     text = _VERDICT[document["verdict"]].format(names)
     likeliest = next(iter(document.get("places", [])), None)
     if likeliest is not None and likeliest["confidence"] > _LIKELIER_THAN_ALL_OTHERS:
@@ -195,15 +195,48 @@ def _larger(document: Mapping[str, Any]) -> list[str]:
     return [joint for joint, error in _residuals(document)[1].items() if not _is_usual(error)]
 
 
+def _likeliest_names(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the likeliest name for each finding: its own, or that of a likelier alternative.
+
+    A search keeps the law that predicts best, and a law that is much likelier may predict as well.
+    An alternative of several findings, or one that replaces other findings, is said once.
+    """
+    likelier = [_likelier(finding) for finding in findings]
+    replaced = [
+        (other["effect"], other["joint"])
+        for one in likelier if one is not None
+        for other in one.get("instead_of", ())
+    ]  # fmt: skip
+    names = [
+        _from_to(finding)
+        if one is None
+        else f"{_with_doubt(place_of_set(one), one['confidence'])} ({percent(one['confidence'])})"
+        for finding, one in zip(findings, likelier, strict=True)
+        if one is not None or (finding["effect"], finding["joint"]) not in replaced
+    ]
+    return list(dict.fromkeys(names))
+
+
+def _likelier(finding: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the likeliest alternative if it is likelier than the finding."""
+    best = max(
+        finding.get("alternatives", ()), key=lambda one: float(one["confidence"]), default=None
+    )
+    return best if best is not None and best["confidence"] > finding["confidence"] else None
+
+
+def _with_doubt(name: str, confidence: float) -> str:
+    if confidence >= SURE:
+        return name
+    return f"{'probably' if confidence > _LIKELIER_THAN_ALL_OTHERS else 'could be'} {name}"
+
+
 def _from_to(finding: Mapping[str, Any]) -> str:
     """Effect, joint, and the largest change of its values: ``at joint elbow, 0.41 to 0.78 N*m``.
 
     An uncertain effect is preceded by "probably" or "could be".
     """
-    confidence, text = finding["confidence"], place(finding)
-    if confidence < SURE:
-        is_probable = confidence > _LIKELIER_THAN_ALL_OTHERS
-        text = f"probably {text}" if is_probable else f"could be {text}"
+    text = _with_doubt(place(finding), finding["confidence"])
     if not finding["change"]:
         return text
     key = max(finding["change"], key=lambda name: abs(finding["change"][name]["value"]))

@@ -347,6 +347,41 @@ def test_no_joint_is_stated_that_is_less_likely_than_the_others_together() -> No
     assert len(document["candidates"]) == 3
 
 
+def found_by_search(effect: str, confidence: float, *others: dict[str, Any]) -> dict[str, Any]:
+    estimate = {"value": -0.1, "unit": "1", "ci95": [-0.11, -0.09]}
+    return {
+        "effect": effect, "joint": "elbow", "confidence": confidence, "alternatives": others,
+        "change": {"scale": estimate}, "known_before": {"scale": estimate},
+        "parameters": {"scale": estimate},
+    }  # fmt: skip
+
+
+def test_a_likelier_alternative_is_the_first_name() -> None:
+    scale = {"effect": "encoder_scale", "joint": "elbow", "confidence": 0.9997}
+    named = undecided(1.0) | {
+        "verdict": "changed", "findings": [found_by_search("torque_constant", 0.0001, scale)],
+    }  # fmt: skip
+    assert headline(named) == "Changed: encoder scale at joint elbow (100 %)"
+    open_ = [found_by_search("torque_constant", 0.2, scale | {"confidence": 0.6})]
+    assert headline(named | {"findings": open_}) == (
+        "Changed: probably encoder scale at joint elbow (60 %)"
+    )
+    equal = [found_by_search("torque_constant", 0.4, scale | {"confidence": 0.4})]
+    assert headline(named | {"findings": equal}).startswith("Changed: could be torque constant")
+
+
+def test_a_likelier_alternative_of_two_changes_is_named_once() -> None:
+    other = {"effect": "viscous_friction", "joint": "elbow"}
+    both = {"effect": "encoder_scale", "joint": "elbow", "confidence": 0.95, "instead_of": [other]}
+    findings = [
+        found_by_search("torque_constant", 0.01, both), found_by_search("viscous_friction", 0.03),
+    ]  # fmt: skip
+    document = undecided(1.0) | {"verdict": "changed", "findings": findings}
+    assert headline(document) == (
+        "Changed: encoder scale at joint elbow instead of viscous friction at joint elbow (95 %)"
+    )
+
+
 def test_dry_and_viscous_friction_that_change_together_are_both_named(
     robot: Path, tmp_path: Path
 ) -> None:
