@@ -449,13 +449,13 @@ class _Normalizer:
     def _triangles(self, path: Path, element: Any) -> mesh.Triangles:
         if path not in self.read_meshes:
             try:
-                found: mesh.Triangles | TwinError = mesh.read(path, LIMITS)
+                found: mesh.Triangles | TwinError = mesh.read(path)
             except TwinError as error:
                 found = error
             self.read_meshes[path] = found
             self.out.source_files.append(path)
             if isinstance(found, mesh.Triangles):
-                self.out.source_files += mesh.files_of(path, LIMITS)[1:]
+                self.out.source_files += mesh.files_of(path)[1:]
                 self.bytes += path.stat().st_size
                 self.faces += len(found.faces)
             if self.bytes > LIMITS.total_asset_bytes or self.faces > LIMITS.total_mesh_faces:

@@ -6,14 +6,13 @@ from pathlib import Path
 
 from pytest_twin.errors import TwinError, require_at_most
 from pytest_twin.realization import mesh
-from pytest_twin.realization.limits import ModelLimits
+from pytest_twin.realization.limits import LIMITS
 
 
 class MeshFiles:
     """Reads meshes, and caches each mesh or its error."""
 
-    def __init__(self, limits: ModelLimits) -> None:
-        self.limits = limits
+    def __init__(self) -> None:
         self.found: dict[Path, mesh.Triangles | TwinError] = {}
         self.bytes = 0
         self.faces = 0
@@ -35,10 +34,10 @@ class MeshFiles:
     def _read(self, path: Path) -> mesh.Triangles | TwinError:
         try:
             self.bytes += path.stat().st_size
-            self._bound("bytes", self.bytes, self.limits.total_asset_bytes, path)
-            result = mesh.read(path, self.limits)
+            self._bound("bytes", self.bytes, LIMITS.total_asset_bytes, path)
+            result = mesh.read(path)
             self.faces += len(result.faces)
-            self._bound("triangles", self.faces, self.limits.total_mesh_faces, path)
+            self._bound("triangles", self.faces, LIMITS.total_mesh_faces, path)
         except TwinError as error:
             return error
         return result

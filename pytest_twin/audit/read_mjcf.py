@@ -30,7 +30,6 @@ from pytest_twin.realization import inertia, mjcf
 from pytest_twin.realization.equality_rows import EqualityRows
 from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.inputs import joint_inputs
-from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.node import Node
 
@@ -51,7 +50,7 @@ _RADIANS_READ_AS_DEGREES = math.radians(2 * math.pi)
 """rad: a full turn in radians, interpreted as degrees."""
 
 
-def read(path: Path, located: ModelFolders, *, limits: ModelLimits = LIMITS) -> Asset:
+def read(path: Path, located: ModelFolders) -> Asset:
     """Read an MJCF file and everything that it refers to.
 
     Raises:
@@ -60,9 +59,9 @@ def read(path: Path, located: ModelFolders, *, limits: ModelLimits = LIMITS) -> 
         ModelError: MuJoCo's parser refuses it for another reason than a duplicate name.
     """
     try:
-        document = mjcf.read(path, located.roots, limits=limits)
+        document = mjcf.read(path, located.roots)
     except TwinError:
-        root = mjcf.read_tree(path, located.roots, limits=limits)
+        root = mjcf.read_tree(path, located.roots)
         nodes = _Nodes(root)
         if not nodes.twice:
             raise

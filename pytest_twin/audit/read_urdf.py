@@ -29,7 +29,7 @@ from pytest_twin.errors import FormatError, ModelError, PointerError, TwinError
 from pytest_twin.realization import urdf
 from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.files.urdf import UrdfFiles
-from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf_compiler import UrdfCompiler
 from pytest_twin.realization.urdf_spec import mesh_file
@@ -47,8 +47,6 @@ _KINDS: Mapping[str, JointKind] = {
 def read(
     path: Path,
     located: ModelFolders,
-    *,
-    limits: ModelLimits = LIMITS,
 ) -> Asset:
     """Read a URDF file and its meshes.
 
@@ -59,7 +57,7 @@ def read(
         FormatError: not well-formed, or a limit is exceeded.
         ModelError: not a URDF, or without a link.
     """
-    root = urdf.document(path, limits=limits)
+    root = urdf.document(path)
     if not root.all("link"):
         srdf = next((node for node in root.children if node.tag in _OF_SRDF), None)
         if srdf is not None:
@@ -68,7 +66,7 @@ def read(
                 expected="a URDF; to audit the SRDF, add --urdf FILE or name it *.srdf",
             )
         raise root.error("a robot without links", expected="at least one <link>")
-    return _Reader(root, path, located, limits).asset()
+    return _Reader(root, path, located).asset()
 
 
 class _Reader:
@@ -77,12 +75,11 @@ class _Reader:
         root: Node,
         path: Path,
         located: ModelFolders,
-        limits: ModelLimits,
     ) -> None:
         self.root = root
         self.compiler = UrdfCompiler.of(root)
         self.mesh_paths = UrdfFiles.of(root, located.roots, located.packages)
-        self.meshes = MeshFiles(limits)
+        self.meshes = MeshFiles()
         self.out = Asset("urdf", path, root.attributes.get("name", ""), root)
         self.out.located = located
         self.out.files = [path]
@@ -93,7 +90,7 @@ class _Reader:
         for node in self.root.all("joint"):
             self._joint(node)
         ends = [(edge.parent, edge.child) for edge in self.out.edges]
-        urdf.check_depth(self.root, ends, self.meshes.limits.audited_link_depth)
+        urdf.check_depth(self.root, ends, LIMITS.audited_link_depth)
         for node in self.root.all("transmission"):
             self._transmission(node)
         for node in self.root.all("ros2_control"):

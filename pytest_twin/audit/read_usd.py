@@ -26,7 +26,7 @@ from pytest_twin.audit.asset import (
 from pytest_twin.audit.finding import Place
 from pytest_twin.errors import FormatError, ModelError, require_at_most
 from pytest_twin.formats.paths import Roots, read_bytes
-from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.mesh import Triangles
 from pytest_twin.realization.usd import import_openusd, missing
 from pytest_twin.realization.usd_names import display_name
@@ -45,7 +45,7 @@ _KINDS: Mapping[str, JointKind] = {
 _NAMED = re.compile(r'\s*(?:def|over)\s+(?:\w+\s+)?"([^"]+)"')
 
 
-def read(path: Path, further: Sequence[Path] = (), *, limits: ModelLimits = LIMITS) -> Asset:
+def read(path: Path, further: Sequence[Path] = ()) -> Asset:
     """Read a stage and every layer that it is composed of.
 
     Args:
@@ -65,17 +65,17 @@ def read(path: Path, further: Sequence[Path] = (), *, limits: ModelLimits = LIMI
     except ImportError:
         raise missing("USD cannot be read", path=path) from None
     try:
-        layers = _layers(path, further, limits)
+        layers = _layers(path, further)
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         words = " ".join(str(error).split())[:200]
         raise FormatError(f"not a USD stage: {words}", path=path) from None
     if stage is None:
         raise FormatError("not a USD stage", path=path, expected=".usda, .usdc, .usd or .usdz")
-    return _Reader(stage, path, layers, limits).asset()
+    return _Reader(stage, path, layers).asset()
 
 
-def _layers(path: Path, further: Sequence[Path], limits: ModelLimits) -> list[Path]:
+def _layers(path: Path, further: Sequence[Path]) -> list[Path]:
     """Return every file of the stage, after checking that it is inside the allowed folders."""
     from pxr import Sdf
 
@@ -89,9 +89,9 @@ def _layers(path: Path, further: Sequence[Path], limits: ModelLimits) -> list[Pa
             continue
         found.append(file)
         require_at_most(len(found), _MOST_LAYERS, "too many layers", path=path)
-        total += len(read_bytes(file, limits.asset_bytes))
+        total += len(read_bytes(file, LIMITS.asset_bytes))
         require_at_most(
-            total, limits.total_asset_bytes, "the layers are too large", unit="bytes", path=path
+            total, LIMITS.total_asset_bytes, "the layers are too large", unit="bytes", path=path
         )
         layer = Sdf.Layer.FindOrOpen(str(file))
         if layer is None:
@@ -103,11 +103,10 @@ def _layers(path: Path, further: Sequence[Path], limits: ModelLimits) -> list[Pa
 
 
 class _Reader:
-    def __init__(self, stage: Any, path: Path, layers: list[Path], limits: ModelLimits) -> None:
+    def __init__(self, stage: Any, path: Path, layers: list[Path]) -> None:
         from pxr import UsdGeom, UsdPhysics
 
         self.stage = stage
-        self.limits = limits
         self.metre = float(UsdGeom.GetStageMetersPerUnit(stage))
         self.kilogram = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
         if not (math.isfinite(self.metre * self.kilogram) and min(self.metre, self.kilogram) > 0):
@@ -134,7 +133,7 @@ class _Reader:
         prims = []
         for prim in Usd.PrimRange.Stage(self.stage, Usd.TraverseInstanceProxies()):
             prims.append(prim)
-            require_at_most(len(prims), self.limits.elements, "too many prims", path=self.out.path)
+            require_at_most(len(prims), LIMITS.elements, "too many prims", path=self.out.path)
         for prim in prims:
             if prim.HasAPI(UsdPhysics.RigidBodyAPI):
                 self._body(prim)
@@ -403,7 +402,7 @@ class _Reader:
         self.faces += len(faces)
         require_at_most(
             self.faces,
-            self.limits.total_mesh_faces,
+            LIMITS.total_mesh_faces,
             "the meshes have too many triangles",
             path=self.out.path,
         )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pytest_twin.errors import FormatError, LimitError, require_at_most
 from pytest_twin.formats.paths import Roots, read_bytes
-from pytest_twin.realization.limits import ModelLimits
+from pytest_twin.realization.limits import LIMITS
 
 SUFFIXES = (".glb", ".gltf")
 UP_AXIS = "Y_UP"
@@ -26,33 +26,31 @@ _MAX_NODES = 10_000
 """Largest number of nodes of a file."""
 
 
-def triangles(
-    data: bytes, path: Path, limits: ModelLimits
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def triangles(data: bytes, path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices (n, 3) in m and faces (m, 3) of the whole scene, with the poses of its nodes.
 
     Vertices are in the frame of the file, whose y axis points up.
 
     Raises:
         FormatError: not glTF, or a referenced file does not exist.
-        LimitError: larger than ``limits``.
+        LimitError: larger than ``LIMITS``.
     """
     import trimesh
 
     document = _document(data, path)
-    _check_counts(document, path, limits)
+    _check_counts(document, path)
     scene: Any = trimesh.load(
         io.BytesIO(data),
         file_type=path.suffix.lower()[1:],
         force="mesh",
         process=False,
         skip_materials=True,
-        resolver=_buffers(document, path, limits),
+        resolver=_buffers(document, path),
     )
     return np.asarray(scene.vertices, dtype=np.float64), np.asarray(scene.faces, dtype=np.int64)
 
 
-def referenced_files(path: Path, limits: ModelLimits) -> list[Path]:
+def referenced_files(path: Path) -> list[Path]:
     """Buffer files that a ``.gltf`` file refers to; all are inside its folder.
 
     Raises:
@@ -60,17 +58,17 @@ def referenced_files(path: Path, limits: ModelLimits) -> list[Path]:
     """
     if path.suffix.lower() != ".gltf":
         return []
-    document = _document(read_bytes(path, limits.asset_bytes), path)
+    document = _document(read_bytes(path, LIMITS.asset_bytes), path)
     return [_file(uri, path) for uri in dict.fromkeys(_uris(document))]
 
 
-def _buffers(document: Mapping[str, Any], path: Path, limits: ModelLimits) -> dict[str, bytes]:
+def _buffers(document: Mapping[str, Any], path: Path) -> dict[str, bytes]:
     """Reference -> content of each buffer file."""
     found: dict[str, bytes] = {}
-    left = limits.total_asset_bytes
+    left = LIMITS.total_asset_bytes
     for uri in _uris(document):
         if uri not in found:
-            found[uri] = read_bytes(_file(uri, path), min(limits.asset_bytes, left))
+            found[uri] = read_bytes(_file(uri, path), min(LIMITS.asset_bytes, left))
             left -= len(found[uri])
     return found
 
@@ -106,7 +104,7 @@ def _uris(document: Mapping[str, Any]) -> Iterator[str]:
             yield uri
 
 
-def _check_counts(document: Mapping[str, Any], path: Path, limits: ModelLimits) -> None:
+def _check_counts(document: Mapping[str, Any], path: Path) -> None:
     """Refuse counts above the limits, because a short file can request any amount of memory."""
     try:
         counts = [int(accessor["count"]) for accessor in document.get("accessors", ())]
@@ -127,12 +125,12 @@ def _check_counts(document: Mapping[str, Any], path: Path, limits: ModelLimits) 
             expected="a tree of nodes; export the mesh again",
         )
     require_at_most(len(nodes), _MAX_NODES, "too many nodes", path=path)
-    if max([total, *(count // 3 for count in counts)], default=0) > limits.mesh_faces:
+    if max([total, *(count // 3 for count in counts)], default=0) > LIMITS.mesh_faces:
         raise LimitError(
             "too many triangles",
             path=path,
             value=total,
-            expected=f"at most {limits.mesh_faces}",
+            expected=f"at most {LIMITS.mesh_faces}",
         )
 
 

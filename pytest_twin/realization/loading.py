@@ -15,7 +15,6 @@ from pytest_twin.realization import mjcf, patch, urdf, urdf_spec
 from pytest_twin.realization.files.locate import ModelFolders, locate
 from pytest_twin.realization.files.urdf import UrdfFiles
 from pytest_twin.realization.fixed_base import fix_base
-from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.realization.model import Realization
 from pytest_twin.realization.model_formats import as_mjcf
 from pytest_twin.realization.source import Source
@@ -34,7 +33,6 @@ def load(  # noqa: PLR0913
     located: ModelFolders | None = None,
     accept_invalid_inertia: bool = False,
     shapes: bool = True,
-    limits: ModelLimits = LIMITS,
     simulator: Simulator = "mujoco",
     base: Base | None = None,
 ) -> Realization:
@@ -81,22 +79,21 @@ def load(  # noqa: PLR0913
     if text is not None and twin is None:
         # The root cannot be chosen from the referenced files: only the package can read them.
         roots = roots or Roots(path.parent)
-    located = located or locate(path, twin=twin, roots=roots, limits=limits)
+    located = located or locate(path, twin=twin, roots=roots)
     if tag == "mujoco":
-        document = mjcf.read(path, located.roots, text=text, limits=limits)
+        document = mjcf.read(path, located.roots, text=text)
         source = Source(
             "mjcf", document.root, dict(document.asset_paths), read=frozenset(document.files)
         )
         spec, places = mjcf.build(document), document.places
     else:
-        robot = urdf.read(path, limits=limits)
+        robot = urdf.read(path)
         converted = urdf_spec.convert(
             robot,
             UrdfFiles.of(robot.node, located.roots, located.packages),
             accept_invalid_inertia=accept_invalid_inertia,
             shapes=shapes,
             inertia_patches={} if fit is None else fit.patches.get("body", {}),
-            limits=limits,
         )
         source = Source(
             "urdf",

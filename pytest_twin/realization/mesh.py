@@ -15,7 +15,7 @@ from pytest_twin.errors import FormatError, TwinError, require_at_most
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import read_bytes
 from pytest_twin.realization import gltf
-from pytest_twin.realization.limits import ModelLimits
+from pytest_twin.realization.limits import LIMITS
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -57,7 +57,7 @@ class Triangles:
         return float(np.ptp(self.vertices @ self.principal_axes[:, 0]))
 
 
-def files_of(path: Path, limits: ModelLimits) -> list[Path]:
+def files_of(path: Path) -> list[Path]:
     """The mesh file, and the buffer files that it refers to.
 
     Raises:
@@ -65,11 +65,11 @@ def files_of(path: Path, limits: ModelLimits) -> list[Path]:
     """
     return [
         path,
-        *(gltf.referenced_files(path, limits) if path.suffix.lower() in gltf.SUFFIXES else ()),
+        *(gltf.referenced_files(path) if path.suffix.lower() in gltf.SUFFIXES else ()),
     ]
 
 
-def read(path: Path, limits: ModelLimits) -> Triangles:
+def read(path: Path) -> Triangles:
     """Read a mesh file.
 
     The unit of a COLLADA file is applied, its up axis is not: ROS tools also show the vertices
@@ -83,12 +83,12 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise FormatError("not a mesh that can be read", path=path, expected=" or ".join(SUFFIXES))
-    data = read_bytes(path, limits.asset_bytes)
+    data = read_bytes(path, LIMITS.asset_bytes)
     try:
         if suffix == ".dae":
             triangles = _collada(data, path)
         elif suffix in gltf.SUFFIXES:
-            vertices, faces = gltf.triangles(data, path, limits)
+            vertices, faces = gltf.triangles(data, path)
             vertices, inverse = _distinct_vertices(vertices)
             triangles = Triangles(vertices, inverse[faces].astype(np.int32), gltf.UP_AXIS)
         else:
@@ -111,7 +111,7 @@ def read(path: Path, limits: ModelLimits) -> Triangles:
             path=path,
             expected="three vertices a face; export the mesh as triangles",
         )
-    require_at_most(len(triangles.faces), limits.mesh_faces, "too many triangles", path=path)
+    require_at_most(len(triangles.faces), LIMITS.mesh_faces, "too many triangles", path=path)
     if not np.isfinite(triangles.vertices).all():
         odd = np.flatnonzero(~np.isfinite(triangles.vertices).all(axis=1))[0]
         raise FormatError(

@@ -24,7 +24,7 @@ from pytest_twin.errors import LimitError, ModelError, TwinError
 from pytest_twin.formats import xml
 from pytest_twin.formats.paths import Roots
 from pytest_twin.realization.engine import check_meaning, version_advice
-from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.node import Node
 
 
@@ -67,9 +67,7 @@ def _write(node: Node, lines: list[str], places: list[tuple[Path, int]]) -> None
         places.append((node.path, node.line))
 
 
-def read(
-    path: Path, roots: Roots, *, text: bytes | None = None, limits: ModelLimits = LIMITS
-) -> Document:
+def read(path: Path, roots: Roots, *, text: bytes | None = None) -> Document:
     """Read an MJCF file and all files that it refers to.
 
     Args:
@@ -81,27 +79,27 @@ def read(
         PathError: a referenced file does not exist or is outside the roots.
         ModelError: an invalid value, or two assets with one name.
     """
-    return _Reader(roots, limits).document(path, depth=0, text=text)
+    return _Reader(roots).document(path, depth=0, text=text)
 
 
-def read_tree(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> Node:
+def read_tree(path: Path, roots: Roots) -> Node:
     """Read the ``mujoco`` element with all includes inserted; no other file is opened.
 
     Raises:
         FormatError: not well-formed, or larger than a limit.
         PathError: an included file does not exist or is outside the roots.
     """
-    return _Reader(roots, limits).tree(path)
+    return _Reader(roots).tree(path)
 
 
-def check_values(node: Node, *, limits: ModelLimits = LIMITS) -> None:
+def check_values(node: Node) -> None:
     """Refuse invalid values in an element and its descendants.
 
     Raises:
         ModelError: a value that is not finite or negative, or a plugin.
         LimitError: larger than a limit.
     """
-    _Reader(Roots(node.path.parent), limits).check(node, 1.0)
+    _Reader(Roots(node.path.parent)).check(node, 1.0)
 
 
 def asset_name(node: Node) -> str:
@@ -110,7 +108,7 @@ def asset_name(node: Node) -> str:
     return node.attributes.get("name") or Path(file).stem
 
 
-def named_files(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> set[Path]:
+def named_files(path: Path, roots: Roots) -> set[Path]:
     """Absolute paths of all files that a model refers to, without following links.
 
     Only XML files are read: the model, and files inside ``roots`` that it includes or attaches.
@@ -118,11 +116,11 @@ def named_files(path: Path, roots: Roots, *, limits: ModelLimits = LIMITS) -> se
     """
     named: set[Path] = set()
     waiting = [path]
-    for _ in range(limits.include_files):
+    for _ in range(LIMITS.include_files):
         if not waiting:
             break
         file = waiting.pop()
-        reader = _Reader(roots, limits)
+        reader = _Reader(roots)
         with suppress(TwinError):
             tree = reader.tree(file)
             for node, _, reference in _references(tree):
@@ -278,9 +276,8 @@ def _references(root: Node) -> Iterator[tuple[Node, str, Path]]:
 
 
 class _Reader:
-    def __init__(self, roots: Roots, limits: ModelLimits) -> None:
+    def __init__(self, roots: Roots) -> None:
         self.roots = roots
-        self.limits = limits
         self.files = 0
         self.read: set[Path] = set()
         self.included: set[Path] = set()
@@ -311,11 +308,11 @@ class _Reader:
         self, path: Path, main: Path, chain: tuple[Path, ...], text: bytes | None = None
     ) -> Node:
         self.files += 1
-        if self.files > self.limits.include_files or len(chain) > self.limits.include_depth:
+        if self.files > LIMITS.include_files or len(chain) > LIMITS.include_depth:
             raise LimitError(
                 "too many included files",
                 path=path,
-                expected=f"at most {self.limits.include_files}, {self.limits.include_depth} deep",
+                expected=f"at most {LIMITS.include_files}, {LIMITS.include_depth} deep",
             )
         self.read.add(path)
         element = xml.parse(path) if text is None else xml.parse_bytes(text, path)
@@ -373,10 +370,10 @@ class _Reader:
                 self._read_asset(document, node, key, path)
 
     def _read_attached_model(self, document: Document, node: Node, file: Path, depth: int) -> None:
-        if depth >= self.limits.nested_models:
+        if depth >= LIMITS.nested_models:
             raise node.limit(
                 "models nested too deep",
-                expected=f"at most {self.limits.nested_models} levels",
+                expected=f"at most {LIMITS.nested_models} levels",
             )
         path = self.roots.resolve(str(file), at=node.path, line=node.line)
         nested = self.document(path, depth + 1)
@@ -402,14 +399,14 @@ class _Reader:
             )
         size = path.stat().st_size
         self.bytes += size
-        if size > self.limits.asset_bytes or self.bytes > self.limits.total_asset_bytes:
+        if size > LIMITS.asset_bytes or self.bytes > LIMITS.total_asset_bytes:
             raise node.limit(
                 "referenced files too large",
                 key,
                 value=size,
                 unit="bytes",
-                expected=f"at most {self.limits.asset_bytes} bytes each, "
-                f"{self.limits.total_asset_bytes} in all",
+                expected=f"at most {LIMITS.asset_bytes} bytes each, "
+                f"{LIMITS.total_asset_bytes} in all",
             )
         content = path.read_bytes()
         self._check_content(node, key, suffix.lower(), content)
@@ -436,23 +433,22 @@ class _Reader:
                     expected=f"{84 + 50 * faces} bytes; export the mesh again",
                 )
             self.faces += faces
-            if faces > self.limits.mesh_faces or self.faces > self.limits.total_mesh_faces:
+            if faces > LIMITS.mesh_faces or self.faces > LIMITS.total_mesh_faces:
                 raise node.limit(
                     "too many triangles",
                     key,
                     value=faces,
-                    expected=f"at most {self.limits.mesh_faces} each, "
-                    f"{self.limits.total_mesh_faces} in all",
+                    expected=f"at most {LIMITS.mesh_faces} each, {LIMITS.total_mesh_faces} in all",
                 )
         if suffix == ".png" and len(content) >= 24:
             width, height = struct.unpack_from(">II", content, 16)
-            if width * height > self.limits.image_pixels:
+            if width * height > LIMITS.image_pixels:
                 raise node.limit(
                     "image too large",
                     key,
                     value=f"{width} x {height}",
                     unit="pixels",
-                    expected=f"at most {self.limits.image_pixels} pixels",
+                    expected=f"at most {LIMITS.image_pixels} pixels",
                 )
 
     # -- values
@@ -506,10 +502,10 @@ class _Reader:
         self._check_size(node, numbers)
         copies = repeated * _copies(node, numbers)
         self.elements += copies
-        if self.elements > self.limits.elements:
+        if self.elements > LIMITS.elements:
             raise node.limit(
                 "too many elements",
-                expected=f"at most {self.limits.elements}, repetitions counted out",
+                expected=f"at most {LIMITS.elements}, repetitions counted out",
             )
         for child in node.children:
             self.check(child, copies)
@@ -519,21 +515,21 @@ class _Reader:
         for key in bounded:
             if key == "size" and node.tag != "numeric":
                 continue
-            if any(abs(value) > self.limits.samples for value in numbers[key]):
+            if any(abs(value) > LIMITS.samples for value in numbers[key]):
                 raise node.limit(
                     "too large",
                     key,
                     value=node.attributes[key],
-                    expected=f"at most {self.limits.samples}",
+                    expected=f"at most {LIMITS.samples}",
                 )
         for keys in (("nrow", "ncol"), ("width", "height"), ("gridsize",), ("resolution",)):
             cells = math.prod(v for key in keys for v in numbers.get(key, (1.0,)))
-            if abs(cells) > self.limits.image_pixels:
+            if abs(cells) > LIMITS.image_pixels:
                 raise node.limit(
                     "too large",
                     keys[0],
                     value=cells,
-                    expected=f"at most {self.limits.image_pixels} cells",
+                    expected=f"at most {LIMITS.image_pixels} cells",
                 )
         memory = node.attributes.get("memory") if node.tag == "size" else None
         if memory is not None:
@@ -541,12 +537,12 @@ class _Reader:
             factor = 0 if match is None else 1024 ** " KMGTPE".index(match[2].upper() or " ")
             if match is None and memory.strip() != "-1":
                 raise node.error("no size", "memory", value=memory, expected="such as '64M'")
-            if match is not None and int(match[1]) * factor > self.limits.memory_bytes:
+            if match is not None and int(match[1]) * factor > LIMITS.memory_bytes:
                 raise node.limit(
                     "asks for too much memory",
                     "memory",
                     value=memory,
-                    expected=f"at most {self.limits.memory_bytes} bytes",
+                    expected=f"at most {LIMITS.memory_bytes} bytes",
                 )
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from pytest_twin.errors import FormatError, ModelError
 from pytest_twin.realization import inertia, mesh, shapes
 from pytest_twin.realization.engine import frame_scale
-from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.named_model import NamedModel
 from pytest_twin.realization.rigid_model import RigidModel, add_inertia, moments
 
@@ -228,7 +227,7 @@ class _Builder:
             if path is None or path.suffix.lower() not in mesh.SUFFIXES:
                 return None
             try:
-                triangles = mesh.read(path, LIMITS)
+                triangles = mesh.read(path)
             except FormatError:
                 # MuJoCo can read this variant of the format, and our reader cannot.
                 return None

@@ -17,7 +17,7 @@ from pytest_twin.formats import xml
 from pytest_twin.formats.declared_inputs import expansion_of
 from pytest_twin.formats.expansions import SUFFIX, model_stem
 from pytest_twin.realization import inertia, urdf_orientation
-from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf_compiler import UrdfCompiler
 
@@ -123,14 +123,14 @@ class Robot:
         return found
 
 
-def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
+def read(path: Path) -> Robot:
     """Read a URDF file; its mesh files are not opened.
 
     Raises:
         FormatError: not well-formed, or larger than a limit.
         ModelError: not a tree of links, or an invalid value.
     """
-    root = document(path, limits=limits)
+    root = document(path)
     links: dict[str, Link] = {}
     compiler = UrdfCompiler.of(root)
     corrected: set[str] = set()
@@ -160,7 +160,7 @@ def read(path: Path, *, limits: ModelLimits = LIMITS) -> Robot:
                 expected=f"unlike line {joints[joint.name].node.line}",
             )
         joints[joint.name] = joint
-    check_depth(root, [(joint.parent, joint.child) for joint in joints.values()], limits.link_depth)
+    check_depth(root, [(joint.parent, joint.child) for joint in joints.values()], LIMITS.link_depth)
     robot = Robot(root, "", links, joints, {name: [] for name in links}, compiler=compiler)
     robot.corrected.update(corrected)
     _check_tree(robot)
@@ -206,7 +206,7 @@ _SUBSTITUTION = re.compile(r"\$\((?:arg|env|optenv|eval|dirname)\b|\$\{")
 """Substitutions of xacro beside ``$(find PACKAGE)``, which is resolved without xacro."""
 
 
-def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
+def document(path: Path) -> Node:
     """The ``robot`` element of a URDF file; its values are not checked.
 
     Raises:
@@ -220,7 +220,7 @@ def document(path: Path, *, limits: ModelLimits = LIMITS) -> Node:
             expected=f"pytest-twin realize {path.name} --out DIR, or the URDF that xacro writes: "
             f"xacro {path.name} > {model_stem(path)}.urdf",
         )
-    root = _nodes(urdf_orientation.parse(path)[0], path, limits)
+    root = _nodes(urdf_orientation.parse(path)[0], path)
     if root.tag != "robot":
         raise root.error("not a URDF", value=root.tag, expected="the root <robot>")
     if not root.all("link"):
@@ -269,13 +269,13 @@ def origin(node: Node) -> tuple[Vector, Vector]:
     return position, rotation(element.numbers("rpy", (0.0, 0.0, 0.0), unit="rad"))
 
 
-def _nodes(root: xml.Element, path: Path, limits: ModelLimits) -> Node:
+def _nodes(root: xml.Element, path: Path) -> Node:
     count = 0
 
     def node(element: Any) -> Node:
         nonlocal count
         count += 1
-        require_at_most(count, limits.elements, "too many elements", path=path)
+        require_at_most(count, LIMITS.elements, "too many elements", path=path)
         return Node(
             xml.plain_name(str(element.tag), element),
             {xml.plain_name(str(k), element): str(v) for k, v in element.attrib.items()},

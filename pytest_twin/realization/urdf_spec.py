@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pytest_twin.errors import TwinError
 from pytest_twin.realization import inertia, mesh, mjcf, urdf_orientation
 from pytest_twin.realization.files.urdf import UrdfFiles
-from pytest_twin.realization.limits import LIMITS, ModelLimits
+from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.node import Node
 from pytest_twin.realization.urdf import Joint, Link, Robot, origin, principal_text
 from pytest_twin.twin import Patch
@@ -78,7 +78,6 @@ def convert(
     accept_invalid_inertia: bool = False,
     inertia_patches: Mapping[str, Patch] | None = None,
     shapes: bool = True,
-    limits: ModelLimits = LIMITS,
 ) -> ConvertedSpec:
     """Convert a URDF to a MuJoCo spec.
 
@@ -94,7 +93,7 @@ def convert(
         FormatError: an invalid mesh file.
     """
     patches = inertia_patches or {}
-    return _Converter(robot, files, accept_invalid_inertia, patches, shapes, limits).run()
+    return _Converter(robot, files, accept_invalid_inertia, patches, shapes).run()
 
 
 class _Converter:
@@ -105,14 +104,12 @@ class _Converter:
         accept_invalid_inertia: bool,
         inertia_patches: Mapping[str, Patch],
         shapes: bool,
-        limits: ModelLimits,
     ) -> None:
         self.robot = robot
         self.files = files
         self.accept_invalid_inertia = accept_invalid_inertia
         self.inertia_patches = inertia_patches
         self.shapes = shapes
-        self.limits = limits
         self.spec = self._empty()
         self.out = ConvertedSpec(self.spec)
         self.bodies: dict[str, mujoco.MjsBody] = {}
@@ -155,7 +152,7 @@ class _Converter:
         """A spec with the simulation options of the URDF, and defaults for the others."""
         compiler = self.robot.compiler
         if compiler.option is not None:
-            mjcf.check_values(compiler.option, limits=self.limits)
+            mjcf.check_values(compiler.option)
         text = compiler.option_text(timestep=f"{TIMESTEP}", integrator="implicitfast")
         try:
             return mujoco.MjSpec.from_string(text)
@@ -530,22 +527,22 @@ class _Converter:
     def _triangles(self, node: Node, path: Path) -> mesh.Triangles:
         if path not in self.triangles:
             try:
-                found = mesh.read(path, self.limits)
+                found = mesh.read(path)
             except TwinError as error:
                 error.problem += f"; used at {node.place}"
                 raise
             self.triangles[path] = found
-            self.out.beside.update(mesh.files_of(path, self.limits)[1:])
+            self.out.beside.update(mesh.files_of(path)[1:])
             self.bytes += path.stat().st_size
             self.faces += len(found.faces)
-            if self.bytes > self.limits.total_asset_bytes:
+            if self.bytes > LIMITS.total_asset_bytes:
                 raise node.limit(
-                    "the meshes are too large", expected=f"{self.limits.total_asset_bytes} bytes"
+                    "the meshes are too large", expected=f"{LIMITS.total_asset_bytes} bytes"
                 )
-            if self.faces > self.limits.total_mesh_faces:
+            if self.faces > LIMITS.total_mesh_faces:
                 raise node.limit(
                     "the meshes have too many triangles",
-                    expected=f"at most {self.limits.total_mesh_faces}",
+                    expected=f"at most {LIMITS.total_mesh_faces}",
                 )
         return self.triangles[path]
 

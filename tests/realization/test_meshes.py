@@ -10,7 +10,6 @@ from test_mjcf_loading import binary_stl
 
 from pytest_twin.errors import FormatError
 from pytest_twin.realization import mesh
-from pytest_twin.realization.limits import LIMITS
 from pytest_twin.realization.shapes import hull, polyhedron
 
 
@@ -19,7 +18,7 @@ def test_faces_keep_their_outward_orientation_when_mirrored(
     tmp_path: Path, scale: tuple[float, ...]
 ) -> None:
     (tmp_path / "t.stl").write_bytes(binary_stl())
-    read = mesh.read(tmp_path / "t.stl", LIMITS)
+    read = mesh.read(tmp_path / "t.stl")
     scaled = read.scaled(np.array(scale, dtype=float))
     assert len(read.vertices) == 4
     signed = np.linalg.det(scaled.vertices[scaled.faces]).sum() / 6
@@ -54,7 +53,7 @@ def test_mesh_files_with_names_in_another_encoding_are_read(tmp_path: Path) -> N
     )  # fmt: skip
     (tmp_path / "t.obj").write_bytes(b"# pi\xe8ce\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     for name in ("t.stl", "t.obj"):
-        found = mesh.read(tmp_path / name, LIMITS)
+        found = mesh.read(tmp_path / name)
         np.testing.assert_allclose(found.vertices.max(axis=0), [1, 1, 0])
         assert len(found.faces) == 1
 
@@ -69,4 +68,4 @@ def test_an_stl_whose_length_contradicts_its_triangle_count_is_refused(
     with pytest.raises(
         FormatError, match=f"that its number of triangles requires.*'{stated} triangles"
     ):
-        mesh.read(tmp_path / "t.stl", LIMITS)
+        mesh.read(tmp_path / "t.stl")

@@ -290,17 +290,22 @@ def test_invalid_mesh_files_are_refused(
     assert "arm.urdf:9" in str(caught.value)
 
 
-def test_a_mesh_above_the_size_limits_is_refused(tmp_path: Path) -> None:
+def test_a_mesh_above_the_size_limits_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from dataclasses import replace
 
+    from pytest_twin.realization import mesh
     from pytest_twin.realization.limits import LIMITS
 
     (tmp_path / "t.stl").write_bytes(binary_stl())
     path = with_mesh(tmp_path, "t.stl")
+    monkeypatch.setattr(mesh, "LIMITS", replace(LIMITS, mesh_faces=3))
     with pytest.raises(LimitError, match="too many triangles"):
-        load(path, limits=replace(LIMITS, mesh_faces=3))
+        load(path)
+    monkeypatch.setattr(mesh, "LIMITS", replace(LIMITS, asset_bytes=100))
     with pytest.raises(LimitError, match="too large"):
-        load(path, limits=replace(LIMITS, asset_bytes=100))
+        load(path)
 
 
 @pytest.mark.parametrize(

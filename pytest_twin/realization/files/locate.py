@@ -18,7 +18,6 @@ from pytest_twin.realization.files.packages import BY_NAME_ABOVE, Packages
 from pytest_twin.realization.files.root import Folder, ModelRoot, choose, inside
 from pytest_twin.realization.files.surroundings import folders_above
 from pytest_twin.realization.files.urdf import MujocoFolders, UrdfFiles
-from pytest_twin.realization.limits import LIMITS, ModelLimits
 from pytest_twin.twin import Twin
 
 
@@ -64,7 +63,6 @@ def locate(
     *,
     twin: Twin | None = None,
     roots: Roots | None = None,
-    limits: ModelLimits = LIMITS,
 ) -> ModelFolders:
     """Find the root folder and the packages of a model; only its XML files are read.
 
@@ -88,7 +86,7 @@ def locate(
     surroundings = folders_above(path)
     allowed = [folder.path for folder in inside(surroundings)]
     packages = Packages(allowed, search.roots, search.packages)
-    root = _choose(path, surroundings, packages, search.roots, limits)
+    root = _choose(path, surroundings, packages, search.roots)
     beside = [
         package.folder
         for package in packages.found.values()
@@ -103,7 +101,6 @@ def _choose(
     surroundings: Sequence[Folder],
     packages: Packages,
     others: Sequence[Path],
-    limits: ModelLimits,
 ) -> ModelRoot:
     outermost = inside(surroundings)[-1].path
     element = xml.parse(path)
@@ -116,7 +113,7 @@ def _choose(
             with suppress(PathError, OSError, ValueError):
                 named.add(files.path_of(reference, path))
     elif element.tag == "mujoco":
-        named = mjcf.named_files(path, Roots(outermost), limits=limits)
+        named = mjcf.named_files(path, Roots(outermost))
     found = packages.found.values()
     by_name = {package.folder for package in found if package.by == BY_NAME_ABOVE}
     elsewhere = [package.folder for package in found if not path.is_relative_to(package.folder)]
