@@ -1,4 +1,4 @@
-"""Draw collision shapes in three orthographic views, each body in its own colour."""
+"""Draw shapes in three orthographic views, or as a small picture; each body has its own colour."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ import io
 import itertools
 import math
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_twin.audit.asset import Asset, Shape, Vector
 from pytest_twin.audit.geometry import Faces, triangles
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _VIEWS = (
     ("front", (1, 2), (1.0, 0.0, 0.0), ("y", "z")),
@@ -51,33 +54,25 @@ def views(
     asset: Asset,
     values: Mapping[str, float],
     *,
-    role: str = "collision",
     marked: Collection[str] = (),
 ) -> bytes | None:
-    """Return a PNG of the shapes of a ``role`` at a pose; None if there are none.
+    """Return a PNG of the collision shapes at a pose; None if there are none.
 
     Args:
         values: joint -> rad or m.
-        role: ``visual`` or ``collision``.
         marked: bodies to draw in red.
     """
     import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    shapes = [shape for shape in asset.shapes if shape.role == role]
+    shapes = [shape for shape in asset.shapes if shape.role == "collision"]
     corners, colours = drawn_triangles(asset, shapes, values, marked)
     if corners is None:
         return None
     low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
     spans = np.maximum(high - low, 1e-3)
     corners, colours = split(corners, colours, float(spans.max()) / 30)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     margin = 0.05 * float(spans.max())
     sizes = [(spans[right] + 2 * margin, spans[up] + 2 * margin) for _, (right, up), _, _ in _VIEWS]
     # One scale for all three views, so that lengths can be compared.
@@ -87,7 +82,7 @@ def views(
     )
     height = max(size[1] for size in sizes) * inch + 2 * _GAP
     with mpl.rc_context({"text.parse_math": False, "text.usetex": False, "font.size": 9}):
-        figure = plt.figure(figsize=(_WIDTH, height), dpi=130)
+        figure = Figure(figsize=(_WIDTH, height), dpi=130)
         free = _WIDTH - sum(width for width, _ in sizes) * inch
         left = free / 4
         for (name, (right, up), toward, labels), size in zip(_VIEWS, sizes, strict=True):
@@ -97,16 +92,9 @@ def views(
                 aspect="equal",
             )
             left += wide + free / 4
-            direction = np.array(toward)
-            order = np.argsort(corners.mean(axis=1) @ direction)
-            shade = 0.62 + 0.25 * np.abs(normals @ direction) + 0.22 * np.abs(normals @ _LIGHT)
             sign = -1.0 if labels[0].startswith("-") else 1.0
-            # One array: matplotlib converts a list into paths one by one.
-            flat: Any = np.stack([sign * corners[..., right], corners[..., up]], axis=-1)[order]
-            fill = np.clip(colours * np.minimum(shade, 1.1)[:, None], 0, 1)[order]
-            axis.add_collection(
-                PolyCollection(flat, facecolors=fill, edgecolors=fill, linewidths=0.3)
-            )
+            screen = np.array([sign * np.eye(3)[right], np.eye(3)[up]])
+            paint(axis, corners, colours, screen, np.array(toward))
             ends = sorted((sign * low[right], sign * high[right]))
             axis.set_xlim(ends[0] - margin, ends[1] + margin)
             axis.set_ylim(low[up] - margin, high[up] + margin)
@@ -122,8 +110,30 @@ def views(
                 spine.set_color("#d3d9e1")
         out = io.BytesIO()
         figure.savefig(out, format="png", facecolor="white")
-        plt.close(figure)
     return out.getvalue()
+
+
+def paint(axis: Axes, corners: Vector, colours: Vector, screen: Vector, toward: Vector) -> None:
+    """Draw triangles, the farthest from the viewer first.
+
+    Args:
+        axis: in m.
+        corners: (n, 3, 3) vertices, m.
+        colours: (n, 3) RGB.
+        screen: (2, 3) unit vectors to the right and up.
+        toward: (3,) unit vector to the viewer.
+    """
+    from matplotlib.collections import PolyCollection
+
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    order = np.argsort(corners.mean(axis=1) @ toward)
+    shade = 0.62 + 0.25 * np.abs(normals @ toward) + 0.22 * np.abs(normals @ _LIGHT)
+    # One array: matplotlib converts a list into paths one by one.
+    flat: Any = (corners @ screen.T)[order]
+    fill = np.clip(colours * np.minimum(shade, 1.1)[:, None], 0, 1)[order]
+    axis.add_collection(PolyCollection(flat, facecolors=fill, edgecolors=fill, linewidths=0.3))
 
 
 def drawn_triangles(
