@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -39,6 +38,7 @@ from pytest_twin.audit.srdf import states
 from pytest_twin.audit.srdf.document import Srdf
 from pytest_twin.audit.srdf.files import srdfs_of
 from pytest_twin.errors import TwinError
+from pytest_twin.formats import atomic
 from pytest_twin.realization import urdf
 from pytest_twin.realization.files.locate import ModelFolders
 from pytest_twin.realization.mujoco_warnings import suppress_mujoco_warnings
@@ -104,7 +104,7 @@ def audit_file(
     say(0.8)
     found = report(asset, geometry, [*findings, *more])
     found["poses"] = self_collision.to_json(results)
-    plain: dict[str, Any] = _finite(found)
+    plain: dict[str, Any] = atomic.without_non_finite(found)
     plain["renders"] = pictures(asset, results)
     plain["located"] = [] if asset.located is None else list(asset.located.words())
     say(1.0)
@@ -148,15 +148,6 @@ def critical_findings(path: str) -> list[str]:
         for one in findings_of(Path(path)).values()
         if one.severity == "critical"
     ]
-
-
-def _finite(data: Any) -> Any:
-    """Replace non-finite numbers, which JSON cannot represent, by None."""
-    if isinstance(data, dict):
-        return {key: _finite(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return [_finite(value) for value in data]
-    return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
 def pictures(asset: Asset, results: list[PoseResult]) -> list[dict[str, str]]:

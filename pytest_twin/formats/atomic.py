@@ -10,7 +10,7 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from pytest_twin.errors import FormatError, PathError, cannot_write
 from pytest_twin.formats.temporary import temporary_file
@@ -97,16 +97,17 @@ def json_text(document: object) -> str:
 
     JSON has no such numbers, and other readers refuse a file with NaN.
     """
-    return json.dumps(_without_non_finite(document), indent=2, allow_nan=False) + "\n"
+    return json.dumps(without_non_finite(document), indent=2, allow_nan=False) + "\n"
 
 
-def _without_non_finite(value: object) -> object:
+def without_non_finite(value: object) -> Any:
+    """The value with null in place of each number that is not finite."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {key: _without_non_finite(inner) for key, inner in value.items()}
+        return {key: without_non_finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_non_finite(inner) for inner in value]
+        return [without_non_finite(inner) for inner in value]
     return value
 
 
