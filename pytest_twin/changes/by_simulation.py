@@ -68,6 +68,7 @@ class SimulatedChanges:
         least_likely: the difference of these that is least likely where nothing changed.
         before, new, held_out: the recordings.
         sessions: how earlier sessions were distinguished, such as ``8 recordings``.
+        is_known_complete: whether the search over the earlier recordings ended by itself.
         is_complete: whether the search for changes ended by itself.
     """
 
@@ -85,6 +86,7 @@ class SimulatedChanges:
     new: tuple[Trial, ...]
     held_out: tuple[Trial, ...]
     sessions: str
+    is_known_complete: bool
     is_complete: bool
     notes: tuple[str, ...]
     level: float
@@ -162,8 +164,8 @@ def find_changes_by_simulation(
         notes += [f"{which} recordings: {note}" for note in describe_skipped_searches(run)]
     return SimulatedChanges(
         known, patched, laws, rows, comparison, found, uncertain_before, carried, repeated,
-        unlikely, before.fit, new.fit, new.held_out, words, not second.skipped_searches,
-        tuple(dict.fromkeys(notes)), level,
+        unlikely, before.fit, new.fit, new.held_out, words, not first.skipped_searches,
+        not second.skipped_searches, tuple(dict.fromkeys(notes)), level,
     )  # fmt: skip
 
 

@@ -23,7 +23,9 @@ from pytest_twin.formats.record_fields import Z95
 from pytest_twin.trial import Trial
 
 _MOST_UNFINISHED = 0.5
-"""Largest confidence of a change that no simulation has tested, or that may be older."""
+"""Largest confidence of a change that no simulation has tested, or that may be older, and of all
+where a limit ended the search over the earlier recordings: what it has not found there may pass for
+a change along other motions."""
 
 
 def simulated_document(
@@ -157,10 +159,14 @@ def _repeated(motion: RepeatedMotion, units: Mapping[str, str]) -> dict[str, Any
 
 
 def _doubts(found: SimulatedChanges) -> list[str]:
-    """A line for each change that the earlier recordings do not exclude."""
+    """Why changes may be none: a line for each that the earlier recordings do not exclude."""
     if found.found is None:
         return []
-    return [
+    unfinished = [] if found.is_known_complete else [
+        "what the search over the earlier recordings has not found may pass for a change; "
+        "confidence is at most 50 %"
+    ]  # fmt: skip
+    return unfinished + [
         f"{f.effect}{'' if f.joint is None else f' at {f.joint}'}: the earlier recordings are "
         "predicted as well with it, so it may have been there before; confidence is at most 50 %"
         for f in found.found.explanation.findings
@@ -204,7 +210,7 @@ def _simulated(found: SimulatedChanges, finding: Finding) -> dict[str, Any]:
         now[name] = _json(_total(p, before, estimate))
     document |= {"parameters": now, "change": change, "known_before": known}
     document |= _new_in_positions(found, finding)
-    if finding.term in found.uncertain_before:
+    if finding.term in found.uncertain_before or not found.is_known_complete:
         document["confidence"] = min(document["confidence"], _MOST_UNFINISHED)
     if not found.held_out:
         document["held_out_gain"] = None

@@ -12,8 +12,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from pytest_twin.changes import by_simulation
 from pytest_twin.cli import main
+from pytest_twin.diagnosis.conclusion import ChosenModel
+from pytest_twin.diagnosis.search_recordings import find_structure
+from pytest_twin.diagnosis.trials import TrialSet
 from pytest_twin.formats.recording import TOPICS
+from pytest_twin.realization import Realization
 from pytest_twin.trial import recordings_at
 
 sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
@@ -80,6 +85,7 @@ def test_more_dry_friction_is_named_with_the_value_before(robot: Path, tmp_path:
     assert (status, document["verdict"]) == (1, "changed")
     (finding,) = document["findings"]
     assert (finding["effect"], finding["joint"]) == ("coulomb_friction", "left")
+    assert finding["confidence"] == 0.9
     low, high = finding["change"]["coulomb"]["ci95"]
     assert low < 0.05 < high
     assert finding["known_before"]["coulomb"]["value"] == pytest.approx(0.03, abs=0.002)
@@ -159,6 +165,24 @@ def test_at_the_time_limit_the_best_answer_is_given(robot: Path, tmp_path: Path)
     assert (status, document["verdict"]) in ((1, "changed"), (1, "changed_unnamed"))
     assert any("the search ended early" in note for note in document["notes"])
     assert all(finding["confidence"] <= 0.5 for finding in document["findings"])
+
+
+def test_a_change_is_not_sure_where_the_earlier_search_did_not_end(
+    robot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the model lacked before, and was not found, may pass for a change."""
+
+    def stopped(realization: Realization, trials: TrialSet, **options: Any) -> ChosenModel:
+        found = find_structure(realization, trials, **options)
+        if not trials.earlier:
+            options["run"].skip("the search for further effects")
+        return found
+
+    monkeypatch.setattr(by_simulation, "find_structure", stopped)
+    _, document = compare(robot, tmp_path / "out", new_recording(tmp_path, dry=0.08))
+    (finding,) = document["findings"]
+    assert (finding["effect"], finding["confidence"]) == ("coulomb_friction", 0.5)
+    assert any("may pass for a change" in note for note in document["notes"])
 
 
 def test_a_copy_of_an_earlier_recording_is_refused(
