@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,15 @@ from numpy.typing import NDArray
 
 from pytest_twin.arrays import FloatArray
 from pytest_twin.changes.by_simulation import SimulatedChanges
-from pytest_twin.changes.document import alarm_json, difference_series, number, verdict_of
-from pytest_twin.changes.naming import Change
+from pytest_twin.changes.comparison import Comparison
+from pytest_twin.changes.document import (
+    alarm_json,
+    difference_series,
+    number,
+    undecided_json,
+    verdict_of,
+)
+from pytest_twin.changes.naming import Candidate, Change
 from pytest_twin.changes.repeated import RepeatedMotion
 from pytest_twin.changes.undone import REALIZATION, Counterfactual
 from pytest_twin.diagnosis.findings import Estimate, Finding, finding_json
@@ -52,6 +60,7 @@ def simulated_document(
         "before": {"recordings": _names(found.before), "release": release},
         "new": _names(found.new),
         "findings": findings,
+        **undecided_json(undecided_by_simulation(comparison, is_named=bool(findings)), joints),
         "alarm": alarm_json(comparison, level, found.sessions) | {"repeated": _alarm(found)},
         "position": _residuals(found, units),
         "repeated": [_repeated(motion, dict(zip(joints, units, strict=True)))
@@ -185,6 +194,31 @@ def _findings(found: SimulatedChanges) -> list[dict[str, Any]]:
     if by_simulation or found.is_complete:
         return [_simulated(found, finding) for finding in by_simulation]
     return [_linear(found, change) for change in found.comparison.changes]
+
+
+def undecided_by_simulation(comparison: Comparison, *, is_named: bool) -> Comparison:
+    """The comparison with the candidates that no simulation has confirmed.
+
+    They count half, as a change that no simulation has tested does. Where the search
+    does not confirm the law that the linear comparison names, that law and its rivals are the
+    candidates.
+
+    Args:
+        is_named: whether there are findings: their alternatives say what else is possible.
+    """
+    if is_named:
+        return replace(comparison, candidates=())
+    candidates = comparison.candidates
+    if comparison.changes:
+        first = comparison.changes[0]
+        laws = {first.shape.term: first.confidence, **first.rivals}
+        candidates = tuple(Candidate((term,), None, p) for term, p in laws.items())
+    return replace(
+        comparison,
+        candidates=tuple(
+            replace(one, probability=_MOST_UNFINISHED * one.probability) for one in candidates
+        ),
+    )
 
 
 def _simulated(found: SimulatedChanges, finding: Finding) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,6 +15,7 @@ import pytest
 from pytest_twin.changes.comparison import Comparison
 from pytest_twin.changes.document import undecided_json
 from pytest_twin.changes.naming import Candidate
+from pytest_twin.changes.simulated_document import undecided_by_simulation
 from pytest_twin.cli import main
 from pytest_twin.diagnosis.not_separated import state_not_separated
 from pytest_twin.estimation.hypothesis import Term
@@ -380,6 +382,28 @@ def test_a_likelier_alternative_of_two_changes_is_named_once() -> None:
     assert headline(document) == (
         "Changed: encoder scale at joint elbow instead of viscous friction at joint elbow (95 %)"
     )
+
+
+@pytest.mark.parametrize("is_named_by_rows", [True, False])
+def test_a_law_that_no_simulation_confirms_counts_half(is_named_by_rows: bool) -> None:
+    dry, viscous = Term("coulomb_friction", 0), Term("viscous_friction", 0)
+    change = SimpleNamespace(
+        shape=SimpleNamespace(term=dry), confidence=0.9, rivals={viscous: 0.08}
+    )
+    comparison = object.__new__(Comparison)
+    values: dict[str, Any] = {field.name: None for field in fields(Comparison)}
+    values |= {"explained": 1.0, "changes": (change,) if is_named_by_rows else ()}
+    open_laws = tuple(Candidate((term,), None, p) for term, p in ((dry, 0.9), (viscous, 0.08)))
+    values |= {"candidates": () if is_named_by_rows else open_laws}
+    for name, value in values.items():
+        object.__setattr__(comparison, name, value)
+    stated = undecided_json(undecided_by_simulation(comparison, is_named=False), ["left"])
+    assert stated["places"] == [{"joint": "left", "motor": None, "confidence": 0.49}]
+    assert [(one["effect"], one["confidence"]) for one in stated["candidates"]] == [
+        ("coulomb_friction", 0.45), ("viscous_friction", 0.04),
+    ]  # fmt: skip
+    named = undecided_json(undecided_by_simulation(comparison, is_named=True), ["left"])
+    assert (named["places"], named["candidates"]) == ([], [])
 
 
 def test_dry_and_viscous_friction_that_change_together_are_both_named(
