@@ -3,10 +3,10 @@
     TWIN_RECORDINGS=FOLDER python benchmarks/changes/calibrator.py --collect [MACHINE ...]
     python benchmarks/changes/calibrator.py
 
-The first writes one line for each named case to ``answers/calibrator.jsonl`` (laws that are added
+The first writes one line for each alarm with a first name to ``answers/calibrator.jsonl`` (laws that are added
 to real efforts as in ``machines.py`` and ``baxter.py``; derived figures only). The second fits a
-logistic regression to half of the machines and tests it on the others, in both directions of each
-of the three divisions.
+logistic regression to half of the machines and tests it on the others, in both directions of each of the
+three divisions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CLIP = 1e-3
 
 
 def collect(names: Sequence[str]) -> None:
-    """Append the cases of machines that were named above the alarm level."""
+    """Append the cases of machines that have a first name above the alarm level."""
     for machine in names:
         if machine == "baxter":
             with tempfile.TemporaryDirectory() as scratch:
