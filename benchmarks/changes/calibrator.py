@@ -3,10 +3,10 @@
     TWIN_RECORDINGS=FOLDER python benchmarks/changes/calibrator.py --collect [MACHINE ...]
     python benchmarks/changes/calibrator.py
 
-The first writes one line for each alarm with a first name to ``answers/calibrator.jsonl`` (laws that are added
-to real efforts as in ``machines.py`` and ``baxter.py``; derived figures only). The second fits a
-logistic regression to half of the machines and tests it on the others, in both directions of each of the
-three divisions.
+The first writes one line for each alarm with a first name to ``answers/calibrator.jsonl``: laws are
+added to real efforts as in ``machines.py`` and ``baxter.py``, and only derived figures are stored.
+The second fits a logistic regression to half of the machines and tests it on the others, in both
+directions of each of the three divisions.
 """
 
 from __future__ import annotations
