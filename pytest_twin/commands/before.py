@@ -6,14 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from pytest_twin.commands import json_output
+from pytest_twin.commands import fleet, json_output
 from pytest_twin.commands.child_result import child_result
 from pytest_twin.commands.numbers import number
 from pytest_twin.commands.progress import Progress
 from pytest_twin.commands.recording_arguments import RECORDING_HELP, recording_options
 from pytest_twin.commands.terminal import show, show_lines
 from pytest_twin.diagnosis.not_separated import state_not_separated
-from pytest_twin.errors import TwinError
 from pytest_twin.formats.temporary import temporary_folder
 from pytest_twin.gate.failure_diagnosis import DIAGNOSIS_FILE, REPORT_FILE
 from pytest_twin.gate.released_model import model_changes, released_beside
@@ -65,10 +64,7 @@ def run(args: argparse.Namespace, seconds: float) -> int:
     Raises:
         TwinError: the input cannot be used.
     """
-    if args.scheduler is not None or args.jobs is not None:
-        raise TwinError(
-            "only for a fleet", where="--jobs, --scheduler", expected="--fleet FILE.yaml"
-        )
+    fleet.refuse_alone(args)
     out: Path = args.out.absolute()
     request = {
         "model": str(find_model(args.model)),
