@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -35,21 +34,20 @@ _LEFT, _MIDDLE, _RIGHT, _GAP = 0.098, 0.42, 0.985, 0.022
 _CHARACTER = 0.0058
 
 
-def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
-    """Draw one joint's figure as SVG (or PNG).
+def joint_figure(view: JointView) -> bytes:
+    """Draw one joint's figure as SVG.
 
     Top to bottom: measured, before and after over time; residual over time; residual
     against velocity, position and load; its spectrum; its root mean square by regime.
     """
     import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(STYLE), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         figure = Figure(figsize=(_WIDTH, _HEIGHT))
-        (FigureCanvasSVG if image == "svg" else FigureCanvasAgg)(figure)
+        FigureCanvasSVG(figure)
         overlay = _panel(figure, 0.77, 0.972)
         left = _panel(figure, 0.588, 0.742, sharex=overlay)
         _overlay(overlay, view)
@@ -73,10 +71,6 @@ def joint_figure(view: JointView, *, image: str = "svg") -> bytes:
         names = max((len(_regime_name(r)) for r in shown), default=0)
         start = _MIDDLE + _GAP + _CHARACTER * names
         _regimes(_panel(figure, 0.055, 0.285, start), view, shown)
-        if image == "png":
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", dpi=110, facecolor="white")
-            return buffer.getvalue()
         return svg_of(figure)
 
 
