@@ -59,7 +59,7 @@ def missed(folder: Path, seed: int) -> tuple[int, list[str]]:
     )
     options = RecordingOptions.from_json({"command_between": "held"})
     trials = read_trials([one, two], [held], DEFAULT_TOPICS, robot.structure, options)
-    parameters, _ = parameters_with_covariance(identify_simulation(robot, trials, threads=1))
+    parameters, _ = parameters_with_covariance(identify_simulation(robot, trials))
     true = {
         "swing.viscous_friction": real["damping"] - NOMINAL["damping"],
         "swing.coulomb_friction": real["friction"],

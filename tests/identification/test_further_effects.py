@@ -110,7 +110,7 @@ def identified(
     model = load(folder / "model.xml")
     options = RecordingOptions.from_json({"command_between": "held"})
     trials = read_trials(fit, [held], DEFAULT_TOPICS, model.structure, options)
-    return identify_simulation(model, trials, threads=1, plan=plan)
+    return identify_simulation(model, trials, plan=plan)
 
 
 def by_the_drive_stage(folder: Path, drive: Callable[[], Drive]) -> SimulationResult:

@@ -80,7 +80,6 @@ def identify_simulation(
     trials: TrialSet,
     *,
     inherited: PatchedModel | None = None,
-    threads: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
     plan: StagePlan | None = None,
 ) -> SimulationResult:
@@ -89,7 +88,6 @@ def identify_simulation(
     Args:
         trials: recordings with commands.
         inherited: effects of an earlier diagnosis that the MJCF does not contain.
-        threads: number of threads of the simulation, 0 for all cores.
         progress: called with the fraction done.
         plan: stages that are fitted, and their effects; by default all.
 
@@ -101,7 +99,7 @@ def identify_simulation(
     run = Run(Budget(limit.seconds, np.inf, limit.clock, limit.begin))
     run.mask, run.first_values = plan.mask, plan.start
     searched = search_trials(
-        realization, trials, run, inherited=inherited, threads=threads,
+        realization, trials, run, inherited=inherited,
         progress=lambda fraction: progress(_STEPS_OF_SEARCH * fraction),
     )  # fmt: skip
     structure = searched.structure
