@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -53,11 +54,14 @@ _UNPRINTABLE = re.compile(
     r"[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]"
     r"|\r(?!\n)"
 )
-_PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*(?: [A-Za-z0-9_/.+()-]+)*")
 # Message of libyaml at its own depth limit, which its lookahead may reach before limits.YAML.
 _TOO_DEEP = "exceeded maximum nesting depth"
-_LINE_WIDTH = 100
-"""Largest number of characters of a written line."""
+_LINE_WIDTH = 80
+"""Number of characters after which a written line ends at the next item or word."""
+# Words that some YAML readers interpret as a truth value, a null or a number.
+_SPECIAL = re.compile(
+    r"(?:y|n|yes|no|on|off|true|false|null|nan|inf|\.nan|\.inf|[-+.0-9].*)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -272,10 +276,8 @@ def recorded_block(recorded: dict[str, Any]) -> str:
     unknown = [key for key in recorded if key not in RECORDED_KEYS]
     if unknown:
         raise SpecError("not a recorded key", where=unknown[0], expected=", ".join(RECORDED_KEYS))
-    out = [RECORDED_MARK]
     ordered = {key: recorded[key] for key in RECORDED_KEYS if key in recorded}
-    _dump_mapping(out, ordered, "", "")
-    return "\n".join(out) + "\n"
+    return f"{RECORDED_MARK}\n{dump(ordered)}"
 
 
 def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<text>")) -> str:
@@ -340,109 +342,65 @@ def rewrite_recorded(text: str, recorded: dict[str, Any], path: Path = Path("<te
     return result
 
 
-def _dump_mapping(out: list[str], fields: Any, indent: str, where: str) -> None:
-    for key, value in fields.items():
-        if not isinstance(key, str) or not key:
-            raise SpecError("a key that is not text", where=where, value=key, expected="a name")
-        at = f"{where}.{key}" if where else key
-        head = f"{indent}{_text(key)}:"
-        short = _inline(value, at, len(head) + 1)
-        if short is not None:
-            out.append(f"{head} {short}")
-            continue
-        out.append(head)
-        if isinstance(value, dict):
-            _dump_mapping(out, value, indent + "  ", at)
-        else:
-            _dump_items(out, value, indent + "  ", at)
+def dump(content: object) -> str:
+    """Return content as YAML that :func:`loads` reads back unchanged.
 
+    A list without tables is on one line if it is short, or if it has plain values alone.
 
-def _dump_items(out: list[str], items: Any, indent: str, where: str) -> None:
-    if not any(isinstance(item, dict | list | tuple) for item in items):
-        line = f"{indent}["
-        for index, item in enumerate(items):
-            text = _scalar(item, f"{where}.{index}") + ("," if index < len(items) - 1 else "]")
-            if len(line) + 1 + len(text) > _LINE_WIDTH and not line.endswith("["):
-                out.append(line)
-                line = f"{indent} {text}"
-            else:
-                line += text if line.endswith("[") else f" {text}"
-        out.append(line)
-        return
-    for index, item in enumerate(items):
-        at = f"{where}.{index}"
-        short = _inline(item, at, len(indent) + 2)
-        if short is not None:
-            out.append(f"{indent}- {short}")
-            continue
-        inner: list[str] = []
-        if isinstance(item, dict):
-            _dump_mapping(inner, item, indent + "  ", at)
-        else:
-            _dump_items(inner, item, indent + "  ", at)
-        out.append(f"{indent}- {inner[0].lstrip(' ')}")
-        out.extend(inner[1:])
-
-
-def _inline(value: Any, where: str, used: int) -> str | None:
-    """Return the text of a value on one line, or None if it needs several lines."""
-    if isinstance(value, dict):
-        return None if value else "{}"
-    if isinstance(value, list | tuple):
-        if any(isinstance(item, dict) for item in value):
-            return None
-        items = [_inline(item, where, 0) for item in value]
-        if any(item is None for item in items):
-            return None
-        text = "[" + ", ".join(str(item) for item in items) + "]"
-        return text if len(text) + used <= _LINE_WIDTH else None
-    return _scalar(value, where)
-
-
-def _scalar(value: Any, where: str) -> str:
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return int.__repr__(value)
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            raise SpecError(
-                "not a finite number", where=where, value=value, expected="a finite number"
-            )
-        text = float.__repr__(value)
-        # With a decimal point, YAML 1.1 readers also parse the exponent form as a number.
-        return text.replace("e", ".0e") if "e" in text and "." not in text else text
-    if isinstance(value, str):
-        return _text(value)
-    raise SpecError(
-        f"a {type(value).__name__} cannot be written as YAML",
-        where=where,
-        expected="text, a number, true, false, null, a list or a mapping",
+    Raises:
+        SpecError: a value that is not plain data, or a number that is not finite; with its field.
+    """
+    _require_plain(content, "")
+    text: str = yaml.dump(
+        content, Dumper=_Dumper, sort_keys=False, width=_LINE_WIDTH, allow_unicode=True
     )
+    return text
 
 
-# Words that some YAML readers interpret as a truth value, a null or a number.
-_SPECIAL = re.compile(
-    r"(?:y|n|yes|no|on|off|true|false|null|nan|inf|\.nan|\.inf|[-+.0-9].*)", re.IGNORECASE
-)
+class _Dumper(yaml.SafeDumper):
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
+        super().increase_indent(flow, indentless=False)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+    def represent_sequence(
+        self, tag: str, sequence: Iterable[Any], flow_style: bool | None = None
+    ) -> yaml.SequenceNode:
+        items = list(sequence)
+        nested = any(isinstance(item, dict | list | tuple) for item in items)
+        on_one_line = not nested or ("{" not in str(items) and len(str(items)) < _LINE_WIDTH)
+        return super().represent_sequence(tag, items, flow_style=on_one_line)
+
+    def represent_text(self, text: str) -> yaml.ScalarNode:
+        # YAML 1.1, which PyYAML writes, reads fewer texts as numbers than YAML 1.2.
+        quoted = not text.isprintable() or _SPECIAL.fullmatch(text)
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style='"' if quoted else None)
 
 
-def _text(value: str) -> str:
-    if len(value) <= 60 and _PLAIN.fullmatch(value) and not _SPECIAL.fullmatch(value):
-        return value
-    out = ['"']
-    for char in value:
-        code = ord(char)
-        if char in '"\\':
-            out.append("\\" + char)
-        elif char.isprintable() and not _UNPRINTABLE.match(char):
-            out.append(char)
-        elif code < 0x100:
-            out.append(f"\\x{code:02x}")
-        elif code < 0x10000:
-            out.append(f"\\u{code:04x}")
-        else:
-            out.append(f"\\U{code:08x}")
-    return "".join(out) + '"'
+_Dumper.add_representer(str, _Dumper.represent_text)
+_Dumper.add_multi_representer(float, lambda dumper, value: dumper.represent_float(float(value)))
+
+
+def _require_plain(value: object, where: str) -> None:
+    """Check that YAML can represent a value.
+
+    Raises:
+        SpecError: it cannot; with the field.
+    """
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            if not isinstance(key, str) or not key:
+                raise SpecError("a key that is not text", where=where, value=key, expected="a name")
+            _require_plain(inner, f"{where}.{key}" if where else key)
+    elif isinstance(value, list | tuple):
+        for index, inner in enumerate(value):
+            _require_plain(inner, f"{where}.{index}")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise SpecError("not a finite number", where=where, value=value, expected="a finite number")
+    elif not isinstance(value, str | int | float | None):
+        raise SpecError(
+            f"a {type(value).__name__} cannot be written as YAML",
+            where=where,
+            expected="text, a number, true, false, null, a list or a mapping",
+        )

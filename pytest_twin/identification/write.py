@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from pytest_twin.diagnosis.patched.model import (
     MODEL_FILE,
     AppliedEffect,
@@ -20,7 +18,7 @@ from pytest_twin.diagnosis.patched.write import load_written, twin_text
 from pytest_twin.effects import catalogue
 from pytest_twin.effects.sensing import EffortBias, EffortScale
 from pytest_twin.errors import SpecError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, yaml
 from pytest_twin.formats.identification_record import EncoderChange
 from pytest_twin.identification.known_effects import kept_effects
 from pytest_twin.realization import Realization, mjcf, mjcf_file, patch
@@ -89,7 +87,7 @@ def write_fitted(
             "model": MODEL_FILE,
             "calibration": {"id": "identified", "joints": joints},
         }
-        atomic.write_text(folder / FILE_NAME, yaml.safe_dump(data, sort_keys=False))
+        atomic.write_text(folder / FILE_NAME, yaml.dump(data))
     add_effects(folder, tuple(realization.joints), changes.laws)
 
 

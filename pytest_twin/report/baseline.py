@@ -10,10 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import yaml
-
-from pytest_twin.formats import atomic
-from pytest_twin.formats import yaml as strict_yaml
+from pytest_twin.formats import atomic, yaml
 from pytest_twin.formats.schema import load_schema, validate
 
 if TYPE_CHECKING:
@@ -42,7 +39,7 @@ def read(path: Path) -> Mapping[Key, str]:
     """
     if not path.exists():
         return {}
-    document = strict_yaml.load(path)
+    document = yaml.load(path)
     validate(document, load_schema("audit_baseline.schema.json"), path)
     return {
         Key(one["robot"], one["code"], one["element"], one.get("value", "")): one.get("why", "")
@@ -59,5 +56,5 @@ def write(path: Path, problems: Iterable[Problem]) -> None:
         if reasons.get(key):
             row["why"] = reasons[key]
         rows.append(row)
-    text = yaml.safe_dump({"accepted": rows}, sort_keys=False, allow_unicode=True, width=1000)
+    text = yaml.dump({"accepted": rows})
     atomic.write_text(path, _HEAD + text)

@@ -170,10 +170,8 @@ def add(servo: Servo, path: Path) -> None:
 
 def library_text(known: Mapping[str, Servo]) -> str:
     """Text of a library file."""
-    import yaml as pyyaml
-
     data = {"schema": 1, "servos": [typed.plain(servo) for servo in known.values()]}
-    return str(pyyaml.safe_dump(data, sort_keys=False, allow_unicode=True))
+    return yaml.dump(data)
 
 
 def _servo(data: object, path: Path) -> Servo:

@@ -12,11 +12,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from pytest_twin.checks import kinds
 from pytest_twin.errors import SpecError
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, yaml
 from pytest_twin.formats.file_names import portable_names
 from pytest_twin.gate.schema import golden_schema, modeline
 from pytest_twin.gate.specs import GOLDEN_FOLDER
@@ -160,7 +158,7 @@ def write_twin_file(folder: Path, first: FirstTwin) -> Path:
     servos = _servo_lines(motors, with_fit=bool(inertia_repairs)) if is_open else ""
     atomic.write_text(
         path,
-        f"{head}\n{_dump(content)}{servos}{_motor_types(first.alike)}{_excitation(first.excitation)}"
+        f"{head}\n{yaml.dump(content)}{servos}{_motor_types(first.alike)}{_excitation(first.excitation)}"
         f"{_acceptance(first.critical)}{_RULES}",
     )
     return path
@@ -225,7 +223,7 @@ def _servo_lines(motors: Mapping[str, str], *, with_fit: bool) -> str:
     where = "# these lines go below fit: above\n" if with_fit else "# fit:\n#   id: servo-gains\n"
     units = {"hinge": "kp: N*m/rad, kv: N*m*s/rad", "slide": "kp: N/m, kv: N*s/m"}
     lines = [
-        f"#     {_dump({name: 0}).rpartition(':')[0]}: {{{units[kind]}}}\n"
+        f"#     {yaml.dump({name: 0}).rpartition(':')[0]}: {{{units[kind]}}}\n"
         for name, kind in motors.items()
     ]
     return f"{head}{where}#   actuator:\n{''.join(lines)}"
@@ -270,7 +268,7 @@ def write_spec(folder: Path, path: Path, spec: Mapping[str, Any]) -> None:
     schema = folder / _SCHEMAS / "golden.schema.json"
     head = f"{modeline(os.path.relpath(schema, path.parent))}\n" if schema.is_file() else ""
     comments = "".join(f"{line}\n" for note in notes for line in _comment(note))
-    atomic.write_text(path, f"{head}{comments}{_dump(body)}")
+    atomic.write_text(path, f"{head}{comments}{yaml.dump(body)}")
 
 
 def _comment(note: str) -> list[str]:
@@ -311,19 +309,3 @@ def write_git_files(folder: Path) -> list[str]:
         f"{path} is not changed: add the line '* -text', because goldens and releases fail if git "
         "converts line endings"
     ]
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes short lists of plain values on one line, and all others as blocks."""
-
-    def represent_sequence(
-        self, tag: str, sequence: Iterable[Any], flow_style: bool | None = None
-    ) -> yaml.SequenceNode:
-        items = list(sequence)
-        plain = all(not isinstance(item, dict | list) for item in items)
-        return super().represent_sequence(tag, items, flow_style=plain and len(items) <= 12)
-
-
-def _dump(content: object) -> str:
-    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=100, allow_unicode=True)
-    return text

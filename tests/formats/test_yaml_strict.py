@@ -188,3 +188,8 @@ def test_recorded_data_is_read_back_unchanged(expected: Any) -> None:
     assert _same(expected, data["expected"])
     assert text == yaml.rewrite_recorded(text, {"expected": expected})
     assert yaml.rewrite_recorded(text, {}) == "kind: fk\n"
+
+
+@pytest.mark.parametrize("name", ["1e3", "0o17", "yes", "~", "12:30", "a: b", "-", ""])
+def test_a_name_that_looks_like_another_value_stays_text(name: str) -> None:
+    assert yaml.loads(yaml.dump({"tcp": name}), PATH).data == {"tcp": name}

@@ -10,15 +10,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from pytest_twin.diagnosis.patched.model import MODEL_FILE, PatchedModel, effects_json
 from pytest_twin.diagnosis.patched.native import NativeWriter
 from pytest_twin.diagnosis.problem import Problem
 from pytest_twin.diagnosis.temperature import ColdFractions
 from pytest_twin.effects import catalogue
 from pytest_twin.estimation.hypothesis import Hypothesis
-from pytest_twin.formats import atomic
+from pytest_twin.formats import atomic, yaml
 from pytest_twin.realization import Realization, load
 from pytest_twin.recording_options import CommandBetween
 from pytest_twin.twin import EFFECTS_FILE, FILE_NAME, Twin, load_twin
@@ -96,7 +94,7 @@ def write_realization(
         atomic.write_text(folder / FILE_NAME, twin_text(realization.twin, between))
     elif between is not None:
         data = {"name": "diagnosed", "model": MODEL_FILE, "command_between": between}
-        atomic.write_text(folder / FILE_NAME, yaml.safe_dump(data, sort_keys=False))
+        atomic.write_text(folder / FILE_NAME, yaml.dump(data))
     return patched
 
 
@@ -125,15 +123,12 @@ def twin_text(twin: Twin, between: CommandBetween | None) -> str:
     data |= options
     if twin.controllers:
         data["controllers"] = {
-            name: {a: {k: _to_plain(v) for k, v in p.items()} for a, p in actuators.items()}
+            name: {actuator: dict(patch) for actuator, patch in actuators.items()}
             for name, actuators in twin.controllers.items()
         }
     if twin.payloads:
         data["payloads"] = {
-            name: {
-                body: {"mass": p.mass, "com": list(p.com), "inertia": list(p.inertia)}
-                for body, p in bodies.items()
-            }
+            name: {body: asdict(payload) for body, payload in bodies.items()}
             for name, bodies in twin.payloads.items()
         }
     if twin.calibration is not None and twin.calibration.joints:
@@ -143,8 +138,4 @@ def twin_text(twin: Twin, between: CommandBetween | None) -> str:
         }
     if twin.tcp is not None:
         data["tcp"] = twin.tcp
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
-
-
-def _to_plain(value: float | tuple[float, ...]) -> float | list[float]:
-    return list(value) if isinstance(value, tuple) else value
+    return yaml.dump(data)
