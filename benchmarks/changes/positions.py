@@ -20,9 +20,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from injected import interval
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from scipy.stats import beta
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "real"))
 from recorded import folder_of
@@ -117,12 +117,6 @@ def is_right_gain(name: str, document: dict[str, Any]) -> tuple[bool, str]:
     return low <= new / old <= high and not others, text
 
 
-def interval(count: int, of: int) -> tuple[float, float]:
-    """Exact 95 % interval of a share (Clopper, Pearson 1934)."""
-    low = float(beta.ppf(0.025, count, of - count + 1)) if count else 0.0
-    return low, float(beta.ppf(0.975, count + 1, of - count)) if count < of else 1.0
-
-
 def main(argv: Sequence[str] | None = None) -> None:
     """Run cases and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
@@ -147,8 +141,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             text = f"score {alarm['score']:.3g}, alarm above {alarm['threshold']:.3g}"
         right, done = right + is_right, done + 1
         print(f"{name}: {'yes' if is_right else 'no'}, {text}", flush=True)
-    low, high = interval(right, done)
-    print(f"{right} of {done} ({100 * low:.0f} to {100 * high:.0f} %)")
+    if done:
+        print(f"{right} of {done} ({interval(right, done)})")
 
 
 if __name__ == "__main__":

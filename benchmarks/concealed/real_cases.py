@@ -116,7 +116,9 @@ def excerpts(
     taken: list[tuple[str, float]] = []
     out = []
     for number, ((name, first, last), role) in enumerate(chosen):
-        start = _apart(name, first, last, machine.seconds, taken, rng)
+        # Two segments overlap by at most a second, if possible.
+        starts, free = _starts(name, first, last, machine.seconds - 1.0, taken, rng)
+        start = (free or starts)[0]
         taken.append((name, start))
         out.append((f"{number}_{name}.mcap", _segment(machine, name, start, role)))
     return out, taken
@@ -129,14 +131,11 @@ def earlier_excerpts(
     out, used = [], list(taken)
     stretches = dict.fromkeys((*machine.fit, *machine.held_out))
     for name, first, last in [*stretches] * EARLIER:
-        for start in np.round(rng.uniform(first, last, 40), 2):
-            if len(out) < EARLIER and all(
-                name != n or abs(start - s) >= machine.seconds for n, s in used
-            ):
-                used.append((name, float(start)))
-                segment = _segment(machine, name, float(start), "fit")
-                out.append((f"{len(out)}_{name}.mcap", segment))
-                break
+        _, free = _starts(name, first, last, machine.seconds, used, rng)
+        if free and len(out) < EARLIER:
+            used.append((name, free[0]))
+            segment = _segment(machine, name, free[0], "fit")
+            out.append((f"{len(out)}_{name}.mcap", segment))
     return out
 
 
@@ -149,16 +148,17 @@ def _segment(machine: Machine, name: str, start: float, role: str) -> Recorded:
     return replace(stretch, state=replace(stretch.state, effort=None))
 
 
-def _apart(
-    name: str, first: float, last: float, seconds: float, taken: list[tuple[str, float]],
+def _starts(
+    name: str, first: float, last: float, apart: float, taken: Sequence[tuple[str, float]],
     rng: np.random.Generator,
-) -> float:  # fmt: skip
-    """Draw a start, s, whose segment overlaps no other by more than a second, if possible."""
-    starts = np.round(rng.uniform(first, last, 40), 2)
-    for start in starts:
-        if all(name != n or abs(start - s) >= seconds - 1.0 for n, s in taken):
-            return float(start)
-    return float(starts[0])
+) -> tuple[list[float], list[float]]:  # fmt: skip
+    """Draw starts, s; all of them, and those at least ``apart`` s from each that is taken."""
+    starts = np.round(rng.uniform(first, last, 40), 2).tolist()
+    free = [
+        start for start in starts
+        if all(name != n or abs(start - s) >= apart for n, s in taken)
+    ]  # fmt: skip
+    return starts, free
 
 
 def disturbed(machine: Machine, number: int, rng: np.random.Generator) -> tuple[str, Change]:
