@@ -527,14 +527,14 @@ class _Converter:
     def _triangles(self, node: Node, path: Path) -> mesh.Triangles:
         if path not in self.triangles:
             try:
-                found = mesh.read(path)
+                triangles = mesh.read(path)
             except TwinError as error:
                 error.problem += f"; used at {node.place}"
                 raise
-            self.triangles[path] = found
+            self.triangles[path] = triangles
             self.out.beside.update(mesh.files_of(path)[1:])
             self.bytes += path.stat().st_size
-            self.faces += len(found.faces)
+            self.faces += len(triangles.faces)
             if self.bytes > LIMITS.total_asset_bytes:
                 raise node.limit(
                     "the meshes are too large", expected=f"{LIMITS.total_asset_bytes} bytes"

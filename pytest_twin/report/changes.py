@@ -199,7 +199,8 @@ def _likeliest_names(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the likeliest name for each finding: its own, or that of a likelier alternative.
 
     A search keeps the law that predicts best, and a law that is much likelier may predict as well.
-    An alternative of several findings, or one that replaces other findings, is said once.
+    One alternative may explain several findings. Its name is then given once, and the findings that
+    it explains are left out.
     """
     likelier = [_likelier(finding) for finding in findings]
     replaced = [

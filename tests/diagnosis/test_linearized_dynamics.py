@@ -73,9 +73,9 @@ def test_a_force_at_one_joint_equals_a_force_vector_that_is_zero_at_the_other_jo
 def test_a_slow_joint_is_held_only_by_friction_that_is_above_its_load(
     friction: float, moves: bool
 ) -> None:
-    """A velocity servo is told to stand still for 3 s; its load makes it creep, or friction holds.
+    """A velocity servo has the command zero for 3 s. Its load moves it slowly, or friction holds it.
 
-    The creep is 1 % of the typical velocity. A spring changes it.
+    It creeps at 1 % of its typical velocity. A spring changes this velocity.
     """
     drive = '<velocity joint="a" kv="200"/>'
     xml = PENDULUM.format(drive=drive).replace('frictionloss=".1"', f'frictionloss="{friction}"')
