@@ -73,7 +73,7 @@ def test_a_force_at_one_joint_equals_a_force_vector_that_is_zero_at_the_other_jo
 def test_a_slow_joint_is_held_only_by_friction_that_is_above_its_load(
     friction: float, moves: bool
 ) -> None:
-    """A velocity servo has the command zero for 3 s. Its load moves it slowly, or friction holds it.
+    """A velocity servo has the command zero for 3 s. Its load moves it, or friction holds it.
 
     It creeps at 1 % of its typical velocity. A spring changes this velocity.
     """
